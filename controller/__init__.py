@@ -1,0 +1,1 @@
+"""The cell: cell file, sequence, gates, store, daemon, console and report."""

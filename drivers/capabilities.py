@@ -1,0 +1,151 @@
+"""What a cell can ask of its devices: one small Protocol per capability, in SI units.
+
+Values carry the time they belong to, on the driver's clock. There is no last-value fallback:
+a driver answers with a value newer than the question, or raises.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from estimation.transform import FloatArray
+
+
+class Quality(StrEnum):
+    """OPC UA severity; only GOOD values enter an estimate."""
+
+    GOOD = "good"
+    UNCERTAIN = "uncertain"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answers on a link, read back at every connect ("" where the device has no such thing)."""
+
+    model: str
+    serial_number: str
+    firmware: str
+    settings: tuple[tuple[str, str], ...] = ()  # scale, range: what a calibration depends on
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """Counters of one link since it was opened."""
+
+    frames: int
+    bad_frames: int
+    timeouts: int
+    reconnects: int
+
+
+class Device(Protocol):
+    """What every driver can do."""
+
+    def connect(self) -> Identity:
+        """Open the link, read and compare the identity, configure. Also used to reconnect.
+
+        Raises DeviceError, DeviceTimeout, IdentityMismatch.
+        """
+
+    def close(self) -> None:
+        """Bring the device to rest and release the link; safe twice."""
+
+    def health(self) -> LinkHealth:
+        """Link counters."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointReadings:
+    """Joint angles read at several instants of one standstill, or while moving."""
+
+    time_s: FloatArray  # (n,) instant of each reading (of the SYNC that it answers)
+    joints_rad: FloatArray  # (n, joints)
+
+
+class Robot(Device, Protocol):
+    """A jointed arm."""
+
+    def move_joints(self, target_rad: FloatArray, speed_fraction: float = 1.0) -> None:
+        """Return when at rest within the in-position window of the target (joints,).
+
+        Raises MotionStopped after `stop`, DeviceError (not at target, drive fault), DeviceTimeout.
+        """
+
+    def read_joints(self, count: int) -> JointReadings:
+        """`count` fresh consecutive readings, all sampled after the call."""
+
+    def move_until_contact(
+        self, target_rad: FloatArray, speed_rad_s: float, probe: "TouchProbe"
+    ) -> FloatArray | None:
+        """Move towards the target until the probe trips; joints (joints,) at the first contact.
+
+        None if the target was reached without contact. `speed_rad_s` is of the fastest joint.
+        The arm is at rest on return. Raises as `move_joints`.
+        """
+
+    def is_at_rest(self) -> bool:
+        """All drives report standstill, read afresh."""
+
+    def stop(self) -> None:
+        """Request the quickest controlled stop. Safe from any thread, at any time, and twice."""
+
+    def release(self) -> None:
+        """Forget an earlier `stop`, so that motion is possible again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeReadings:
+    """Distances along the beam from consecutive measuring cycles of one window."""
+
+    time_s: FloatArray  # (n,) receive time
+    distance_m: FloatArray  # (n,) valid readings only
+    rejected: int  # cycles that gave an error value (no target, out of range)
+    rejected_kinds: tuple[str, ...] = ()  # in words, distinct
+
+
+class RangeSensor(Device, Protocol):
+    """A one-dimensional distance sensor; the beam is the +z axis of its frame."""
+
+    def begin_window(self) -> None:
+        """Forget everything received so far."""
+
+    def end_window(self, minimum: int) -> RangeReadings:
+        """All cycles measured since `begin_window`, waiting until there are `minimum` (valid or not).
+
+        Raises DeviceTimeout, FrameError.
+        """
+
+
+class TouchProbe(Device, Protocol):
+    """A touch-trigger probe: a switch that counts contacts."""
+
+    def arm(self) -> None:
+        """Remember the present count. Raises DeviceError if the probe is tripped already."""
+
+    def touched_at_s(self) -> float | None:
+        """One poll: the latest instant at which contact can have begun, or None if not touched.
+
+        The driver's clock; the instant lies at most `poll_uncertainty_s` after the contact.
+        """
+
+    @property
+    def poll_uncertainty_s(self) -> float:
+        """Longest time between contact and its detection when polled as fast as the link allows."""
+
+    def is_open(self) -> bool:
+        """The stylus touches nothing now, read afresh."""
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """The devices of one cell by role."""
+
+    robot: Robot
+    laser: RangeSensor
+    probe: TouchProbe
+
+    def all(self) -> Sequence[Device]:
+        """In the order in which they are connected."""
+        return (self.robot, self.laser, self.probe)

@@ -1,0 +1,54 @@
+"""The three kinds of link that drivers speak through: bytes, CAN frames, and request-reply.
+
+A real port and the deterministic cell both provide these; a driver cannot tell them apart.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+class ByteLink(Protocol):
+    """A serial line or TCP connection."""
+
+    def write(self, data: bytes) -> None:
+        """Send all bytes. Raises DeviceError if the port is gone."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, waiting at most `timeout_s` for the first byte; b"" if nothing came.
+
+        Raises DeviceError if the port is gone.
+        """
+
+    def discard_input(self) -> None:
+        """Drop what was received; a reply may still come later."""
+
+    def reopen(self) -> None:
+        """Close and open again. Raises DeviceError naming the port if it is not there."""
+
+    def close(self) -> None:
+        """Release the port; safe twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """One classic CAN data frame with an 11-bit identifier."""
+
+    can_id: int
+    data: bytes
+    time_s: float = 0.0  # when it was received, on the driver's clock
+
+
+class CanLink(Protocol):
+    """A CAN bus behind a dongle or socket."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Queue one frame; safe from any thread. Raises DeviceError if the bus is gone."""
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """The next frame, or None after `timeout_s`. Raises DeviceError if the bus is gone."""
+
+    def reopen(self) -> None:
+        """Close and open again. Raises DeviceError naming the port if it is not there."""
+
+    def close(self) -> None:
+        """Release the port; safe twice."""

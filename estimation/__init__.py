@@ -1,0 +1,1 @@
+"""Pure mathematics of the cell: arrays in, frozen results out."""

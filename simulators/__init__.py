@@ -1,0 +1,1 @@
+"""The other end of the wire: a simulated world and the devices in it."""
