@@ -1,0 +1,1 @@
+"""Planning: which measurements to take, so that the gated quantity becomes known well enough."""

@@ -1,0 +1,54 @@
+"""One step of a plan: where the arm goes and what it measures there. Plans are data."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+Kind = Literal["laser", "touch", "noise", "reference"]
+Joints = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A measurement at one standstill, or one touch.
+
+    Every step is reached from the posture in which the step before it ends: its `joints_rad`, or the
+    last of its `retreat`. The first step of a plan starts from any carrying posture (tool above
+    everything), and the last one retreats to such a posture, so plans follow each other freely.
+    """
+
+    id: str  # unique in the job
+    kind: Kind
+    object: str  # "plate", "bar", "sphere", "part"
+    feature: str  # of that object
+    joints_rad: Joints  # laser: where it measures; touch: where the approach starts
+    via: tuple[Joints, ...] = ()  # postures to pass before, in order
+    retreat: tuple[Joints, ...] = ()  # postures to pass after, in order
+    contact_rad: Joints = ()  # touch: where the approach ends if nothing is met
+    expected_m: float = 0.0  # laser: predicted reading; touch: predicted way of the ball to contact
+    object_p_m: tuple[float, ...] = ()  # predicted point (laser) or ball centre (touch), frame of the object
+    readings: int = 0  # joint readings; 0 means as the cell file says
+    note: str = ""
+
+    @property
+    def end_rad(self) -> Joints:
+        """Where the arm stands after the step."""
+        return self.retreat[-1] if self.retreat else self.joints_rad
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; floats survive exactly."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> "Step":
+        """Inverse of `to_dict`, also after JSON made tuples lists."""
+        return Step(**{name: _tuples(value) for name, value in data.items()})
+
+
+def as_joints(values: Sequence[float]) -> Joints:
+    """Joints as a tuple of plain floats."""
+    return tuple(float(value) for value in values)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list | tuple) else value
