@@ -27,7 +27,7 @@ class ArmModel:
     lower_rad, upper_rad : (n,), joint limits.
     free : The k parameters that are uncertain, each as (joint index from 0, one of PARAMETER_NAMES).
 
-    Source: Sallinen (2003), eq. (56-61), which are inverse links (ESTIMATION.md, errata); Hayati's beta added.
+    Source: Sallinen (2003), eq. (56-61), which are inverse links (ESTIMATION.md, errata); with Hayati's beta.
     """
 
     theta: FloatArray
@@ -53,7 +53,7 @@ class ArmModel:
         if not np.all(self.lower_rad < self.upper_rad):
             joint = int(np.argmin(self.lower_rad < self.upper_rad))
             raise EstimationError(
-                f"Joint {joint + 1} is limited to {self.lower_rad[joint]:.4f}..{self.upper_rad[joint]:.4f} rad",
+                f"Joint {joint + 1} runs from {self.lower_rad[joint]:.4f} to {self.upper_rad[joint]:.4f} rad",
                 "Give the lower limit first",
             )
         for joint, name in self.free:
