@@ -1,0 +1,131 @@
+"""The cell file as a whole, in SI units."""
+
+import hashlib
+import json
+from datetime import date
+from pathlib import Path
+
+from pydantic import Field, PrivateAttr
+
+from controller.cellfile.devices import Laser, Probe, Robot
+from controller.cellfile.job import Job
+from controller.cellfile.lines import KeyPath, LineIndex
+from controller.cellfile.mistakes import Mistake, Source
+from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
+from controller.cellfile.tables import Name, Placement, Table
+
+
+class Header(Table):
+    """The cell itself."""
+
+    name: Name
+    """Name of the cell."""
+    simulated: bool = False
+    """Whether simulators stand in for the devices: every result then says so."""
+
+
+class Cell(Table):
+    """A cell file that was read and checked."""
+
+    header: Header = Field(alias="cell")
+    robot: Robot
+    laser: Laser
+    probe: Probe
+    plate: Plate
+    bar: Bar
+    sphere: Sphere
+    part: Part
+    job: Job
+
+    _path: Path = PrivateAttr(default=Path("cell.toml"))
+    _source: Source = PrivateAttr(default=Source("cell.toml", LineIndex(), {}))
+    _cad_digest: str = PrivateAttr(default="")
+
+    @property
+    def name(self) -> str:
+        """Name of the cell."""
+        return self.header.name
+
+    @property
+    def simulated(self) -> bool:
+        """Whether every result must be marked as simulated."""
+        return self.header.simulated
+
+    @property
+    def path(self) -> Path:
+        """The cell file, absolute."""
+        return self._path
+
+    @property
+    def directory(self) -> Path:
+        """The folder of the cell file, absolute."""
+        return self._path.parent
+
+    @property
+    def cad_path(self) -> Path:
+        """The CAD file of the part, absolute."""
+        return self.directory / self.part.cad
+
+    @property
+    def robot_port(self) -> str:
+        """Port of the robot: an absolute path, or the name of a socketcan interface."""
+        return self.robot.port if self.robot.interface == "socketcan" else self._absolute(self.robot.port)
+
+    @property
+    def laser_port(self) -> str:
+        """Port of the laser: an absolute path."""
+        return self._absolute(self.laser.port)
+
+    def _absolute(self, port: str) -> str:
+        return str(self.directory / port)
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """All placed frames: laser, probe, plate, bar, sphere, part."""
+        return (self.laser.mount, self.probe.mount, self.plate, self.bar, self.sphere, self.part)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of all values in SI units and of the CAD file.
+
+        Comments, layout and the choice of units do not change it; values and the CAD file do.
+        """
+        content = self.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+        canonical = json.dumps([content, self._cad_digest], sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def expired(self, today: date) -> list[str]:
+        """Certificates that no longer hold today, in words."""
+        artefacts: tuple[Artefact, ...] = (self.plate, self.bar, self.sphere)
+        return [
+            f"certificate {artefact.certificate or 'without number'} of the {artefact.FRAME} "
+            f"held until {artefact.valid_to}"
+            for artefact in artefacts
+            if artefact.valid_to is not None and artefact.valid_to < today
+        ]
+
+    def differences(self, other: "Cell") -> list[str]:
+        """What `other` says differently, one line for each value: "robot.readings: 3 -> 5"."""
+        mine, theirs = (_flat("", cell._source.data) for cell in (self, other))
+        lines = [
+            f"{key}: {mine.get(key, 'not there')} -> {theirs.get(key, 'not there')}"
+            for key in [*mine, *(key for key in theirs if key not in mine)]
+            if mine.get(key) != theirs.get(key)
+        ]
+        if self._cad_digest != other._cad_digest and self.part.cad == other.part.cad:
+            lines.append(f"part.cad: the content of {self.part.cad} changed")
+        return lines
+
+    def mistake_at(self, path: KeyPath, problem: str, remedy: str = "") -> Mistake:
+        """A mistake found after loading, at a key such as ("job", "phases", 2, "limit")."""
+        return self._source.mistake(path, problem, remedy)
+
+
+def _flat(prefix: str, value: object) -> dict[str, str]:
+    if isinstance(value, dict):
+        items = [(f"{prefix}.{key}" if prefix else str(key), child) for key, child in value.items()]
+    elif isinstance(value, (list, tuple)) and any(isinstance(child, dict) for child in value):
+        items = [(f"{prefix}[{position}]", child) for position, child in enumerate(value, start=1)]
+    else:
+        return {prefix: json.dumps(value, default=str, ensure_ascii=False)}
+    return {key: text for name, child in items for key, text in _flat(name, child).items()}
