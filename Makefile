@@ -49,7 +49,7 @@ lint: $(STAMP) ## style, types and import contracts
 	@echo "mypy --strict"
 	@$(BIN)/mypy --strict $(addprefix -p ,$(PACKAGES))
 	@echo "import contracts"
-	@$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
+	@$(BIN)/lint-imports --no-logo
 
 fmt: $(STAMP) ## format and fix what can be fixed by machine
 	@$(BIN)/ruff check --fix-only --quiet .
