@@ -5,7 +5,7 @@ import json
 from datetime import date
 from pathlib import Path
 
-from pydantic import Field, PrivateAttr
+from pydantic import PrivateAttr
 
 from controller.cellfile.devices import Laser, Probe, Robot
 from controller.cellfile.job import Job
@@ -27,29 +27,38 @@ class Header(Table):
 class Cell(Table):
     """A cell file that was read and checked."""
 
-    header: Header = Field(alias="cell")
+    cell: Header
+    """The cell itself."""
     robot: Robot
+    """The arm."""
     laser: Laser
+    """The distance laser."""
     probe: Probe
+    """The touch probe."""
     plate: Plate
+    """The calibration plate."""
     bar: Bar
+    """The two-sphere bar."""
     sphere: Sphere
+    """The sphere for the stylus."""
     part: Part
+    """The part."""
     job: Job
+    """The job."""
 
     _path: Path = PrivateAttr(default=Path("cell.toml"))
-    _source: Source = PrivateAttr(default=Source("cell.toml", LineIndex(), {}))
+    _source: Source = PrivateAttr(default=Source("cell.toml", "", LineIndex(), {}))
     _cad_digest: str = PrivateAttr(default="")
 
     @property
     def name(self) -> str:
         """Name of the cell."""
-        return self.header.name
+        return self.cell.name
 
     @property
     def simulated(self) -> bool:
         """Whether every result must be marked as simulated."""
-        return self.header.simulated
+        return self.cell.simulated
 
     @property
     def path(self) -> Path:
@@ -60,6 +69,16 @@ class Cell(Table):
     def directory(self) -> Path:
         """The folder of the cell file, absolute."""
         return self._path.parent
+
+    @property
+    def text(self) -> str:
+        """The cell file as it was read."""
+        return self._source.text
+
+    @property
+    def cache_dir(self) -> Path:
+        """Folder for what can be computed again from the files of the cell; it may not exist yet."""
+        return self.directory / ".truecell"
 
     @property
     def cad_path(self) -> Path:

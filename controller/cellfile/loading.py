@@ -91,7 +91,7 @@ def _text_of(path: Path) -> str:
 
 def _parse(path: Path, text: str) -> tuple[Source | None, list[Mistake]]:
     index = index_lines(text)
-    empty = Source(str(path), index, {})
+    empty = Source(str(path), text, index, {})
     mistakes = [
         Mistake(
             str(path),
@@ -112,7 +112,7 @@ def _parse(path: Path, text: str) -> tuple[Source | None, list[Mistake]]:
             *mistakes,
             Mistake(str(path), 1, "", "", f"not a cell file ({error})", "correct the file"),
         ]
-    return Source(str(path), index, data), mistakes
+    return Source(str(path), text, index, data), mistakes
 
 
 def _syntax_mistake(path: Path, text: str, index: LineIndex, message: str) -> Mistake:
@@ -147,7 +147,7 @@ def _validate(source: Source) -> tuple[Cell | None, dict[str, Any], list[Mistake
         sections = {
             name: TypeAdapter(field.annotation).validate_python(content[field.alias or name])
             for name, field in Cell.model_fields.items()
-            if field.alias not in faulty and field.annotation is not None
+            if (field.alias or name) not in faulty and field.annotation is not None
         }
         return None, sections, _without_echoes(mistakes)
     return cell, {name: getattr(cell, name) for name in Cell.model_fields}, []

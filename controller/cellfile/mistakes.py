@@ -53,7 +53,8 @@ class Source:
     """The text that a cell was read from: turns a key path into file, line and value."""
 
     file: str
-    index: LineIndex
+    text: str = field(repr=False)
+    index: LineIndex = field(repr=False)
     data: dict[str, Any] = field(repr=False)
 
     def mistake(self, path: KeyPath, problem: str, remedy: str = "") -> Mistake:
