@@ -113,9 +113,7 @@ def _path_of_non_finite(value: object, path: str) -> str | None:
 def to_text(value: object) -> str:
     """Canonical JSON: sorted keys, no spaces. NaN and infinities are refused with their place."""
     try:
-        return json.dumps(
-            value, default=_plain, allow_nan=False, sort_keys=True, separators=(",", ":"), ensure_ascii=False
-        )
+        return json.dumps(value, default=_plain, allow_nan=False, sort_keys=True, separators=(",", ":"))
     except ValueError:
         place = _path_of_non_finite(value, "") or "a value"
         raise StoreError(

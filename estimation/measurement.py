@@ -1,0 +1,316 @@
+"""Measurement models: residuals of laser and probe observations, and derivatives by everything uncertain."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.belief import Belief, Value
+from estimation.errors import EstimationError
+from estimation.kinematics import ArmModel
+from estimation.surfaces import Feature, feature_table, signed_distance
+from estimation.transform import FloatArray, Transform, skew
+
+JOINT_NOISE: Final = "joint noise"
+RANGE_NOISE: Final = "range noise"
+TOUCH_NOISE: Final = "touch noise"
+SURFACE: Final = "surface"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """A batch of scalar observations of one object with one sensor.
+
+    Attributes
+    ----------
+    object : the belief's pose block of the object, base_T_object.
+    joints_rad, joint_variance : (m, 6), rad and rad^2; noise independent from row to row.
+    reading_m : (m,) laser reading; zeros for a probe, whose reading is "the ball touches".
+    reading_variance : (m,) m^2, of the reading or of the touch, along the beam or the normal.
+    surface_variance : (m,) m^2, form of the surface, independent from point to point.
+    features, feature_index : (m,) the feature that each row lies on.
+    """
+
+    sensor: Literal["laser", "probe"]
+    object: str
+    joints_rad: FloatArray
+    joint_variance: FloatArray
+    reading_m: FloatArray
+    reading_variance: FloatArray
+    surface_variance: FloatArray
+    features: tuple[Feature, ...]
+    feature_index: NDArray[np.intp]
+
+    def __post_init__(self) -> None:
+        rows = len(self.joints_rad)
+        shapes = {
+            "joint_variance": (self.joint_variance, self.joints_rad.shape),
+            "reading_m": (self.reading_m, (rows,)),
+            "reading_variance": (self.reading_variance, (rows,)),
+            "surface_variance": (self.surface_variance, (rows,)),
+            "feature_index": (self.feature_index, (rows,)),
+            "joints_rad": (self.joints_rad, (rows, self.joints_rad.shape[-1])),
+        }
+        for name, (values, shape) in shapes.items():
+            if values.shape != shape or not np.isfinite(values).all():
+                raise EstimationError(
+                    f"{self.sensor} observations of {self.object}: {name} has shape {values.shape}, "
+                    f"expected {shape}, or holds numbers that are not finite",
+                    "Leave out samples without a valid reading before estimating",
+                )
+        variances = (self.joint_variance, self.reading_variance, self.surface_variance)
+        if any((values < 0.0).any() for values in variances):
+            raise EstimationError(
+                f"{self.sensor} observations of {self.object} have a negative variance", "Check the noise"
+            )
+        if rows and not 0 <= self.feature_index.min() <= self.feature_index.max() < len(self.features):
+            raise EstimationError(
+                f"feature_index up to {self.feature_index.max()} of {len(self.features)} features",
+                "Pass the features that the rows were measured on",
+            )
+
+    def __len__(self) -> int:
+        return len(self.joints_rad)
+
+    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Observations":
+        """Some of the rows."""
+        return Observations(
+            self.sensor,
+            self.object,
+            self.joints_rad[rows],
+            self.joint_variance[rows],
+            self.reading_m[rows],
+            self.reading_variance[rows],
+            self.surface_variance[rows],
+            self.features,
+            self.feature_index[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Residuals of observations at one state, with their derivatives.
+
+    `jacobian[block]` is (m, w) by the full perturbation of a block: w = 6 for a pose (right, form A),
+    the vector's length otherwise. `noise[source]` is (m,) variance, m^2; independent rows.
+    """
+
+    residual_m: FloatArray
+    jacobian: Mapping[str, FloatArray]
+    noise: Mapping[str, FloatArray]
+
+    @property
+    def noise_variance(self) -> FloatArray:
+        """Q as a diagonal (m,), m^2: sum of K_s^2 sigma_s^2 over the sources."""
+        total: FloatArray = np.sum(list(self.noise.values()), axis=0)
+        return total
+
+    def dense(self, belief: Belief) -> FloatArray:
+        """Jacobian (m, n) by the active freedoms, in the order of the belief's state."""
+        dense = np.zeros((len(self.residual_m), belief.size))
+        for name, matrix in self.jacobian.items():
+            if name in belief:
+                dense[:, belief.index(name)] = matrix[:, belief.block(name).active]
+        return dense
+
+
+def evaluate(belief: Belief, arm: ArmModel, observations: Sequence[Observations]) -> Rows:
+    """Residuals and derivatives of all batches, stacked, at the belief's values.
+
+    The chain is p_object = base_T_object^-1 . base_T_flange(q; kinematics) . flange_T_sensor . p_sensor,
+    the residual its signed distance to the feature (less the ball radius for a probe). Uses the blocks
+    "kinematics", "laser" with "laser.scale" and "laser.offset", "probe" with "probe.radius", "bump", the
+    object and the deviations of its features. Absent "kinematics", "laser.scale", "laser.offset",
+    "probe.radius" and "bump" mean nominal or zero, without uncertainty.
+
+    Raises EstimationError when a pose or a feature's block is missing.
+    """
+    return rows_at({block.name: block.value for block in belief.blocks}, arm, observations)
+
+
+def rows_at(values: Mapping[str, Value], arm: ArmModel, observations: Sequence[Observations]) -> Rows:
+    """As `evaluate`, at values that need not be a belief's."""
+    parts = [_batch(values, arm, batch) for batch in observations]
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return Rows(np.zeros(0), {}, {})
+    lengths = [len(part.residual_m) for part in parts]
+    jacobian: dict[str, FloatArray] = {}
+    noise: dict[str, FloatArray] = {}
+    end = 0
+    for part, length in zip(parts, lengths, strict=True):
+        place = slice(end, end + length)
+        for name, matrix in part.jacobian.items():
+            jacobian.setdefault(name, np.zeros((sum(lengths), matrix.shape[1])))[place] = matrix
+        for name, variance in part.noise.items():
+            noise.setdefault(name, np.zeros(sum(lengths)))[place] = variance
+        end += length
+    return Rows(np.concatenate([part.residual_m for part in parts]), jacobian, noise)
+
+
+def _batch(values: Mapping[str, Value], arm: ArmModel, batch: Observations) -> Rows:
+    actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
+    flange, joint_twist, parameter_twist = actual.jacobians(batch.joints_rad)
+    sensor = _sensor_points(values, batch.sensor, batch.reading_m)
+    rotation = flange[:, :3, :3]
+    base_p = np.einsum("mij,mj->mi", rotation, sensor.flange_p) + flange[:, :3, 3]
+    pose = _pose(values, batch.object)
+    object_p = (base_p - pose.origin_m) @ pose.rotation
+    table = feature_table(batch.features)
+    parameters = [_sized(values, name, size) for name, size in table.blocks]
+    distance = signed_distance(
+        batch.features, batch.feature_index, object_p, np.concatenate([np.zeros(0), *parameters])
+    )
+    object_g = distance.gradient
+    flange_g = np.einsum("mji,mj->mi", rotation, object_g @ pose.rotation.T)
+    flange_row = _pose_rows(flange_g, sensor.flange_p)
+    jacobian = {name: np.einsum("mi,mij->mj", flange_g, matrix) for name, matrix in sensor.jacobian.items()}
+    jacobian[batch.object] = -_pose_rows(object_g, object_p)
+    if "kinematics" in values:
+        jacobian["kinematics"] = np.einsum("mi,mik->mk", flange_row, parameter_twist)
+    start = 0
+    for name, size in table.blocks:
+        jacobian[name] = distance.deviation[:, start : start + size]
+        start += size
+    joint_k = np.einsum("mi,mij->mj", flange_row, joint_twist)
+    noise = {
+        JOINT_NOISE: np.einsum("mj,mj->m", joint_k**2, batch.joint_variance),
+        SURFACE: batch.surface_variance,
+    }
+    residual = distance.distance_m
+    if batch.sensor == "laser":
+        along = np.einsum("mi,mi->m", flange_g, sensor.by_reading)
+        noise[RANGE_NOISE] = along**2 * batch.reading_variance
+    else:
+        noise[TOUCH_NOISE] = batch.reading_variance
+        if "probe.radius" in values:
+            residual = residual - _sized(values, "probe.radius", 1)[0]
+            jacobian["probe.radius"] = -np.ones((len(batch), 1))
+    return Rows(residual, jacobian, noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SensorPoints:
+    flange_p: FloatArray  # (m, 3)
+    jacobian: dict[str, FloatArray]  # block -> (m, 3, w), in frame flange
+    by_reading: FloatArray  # (m, 3)
+
+
+def _sensor_points(values: Mapping[str, Value], sensor: str, reading_m: FloatArray) -> _SensorPoints:
+    mount = _pose(values, sensor)
+    count = len(reading_m)
+    if sensor == "probe":
+        flange_p = np.broadcast_to(mount.origin_m, (count, 3))
+        return _SensorPoints(
+            flange_p, {sensor: _moved(mount.rotation, np.zeros((count, 3)))}, np.zeros((count, 3))
+        )
+    scale = _sized(values, "laser.scale", 1)[0] if "laser.scale" in values else 0.0
+    offset_m = _sized(values, "laser.offset", 1)[0] if "laser.offset" in values else 0.0
+    beam_p = np.zeros((count, 3))
+    beam_p[:, 2] = (1.0 + scale) * reading_m + offset_m
+    jacobian: dict[str, FloatArray] = {}
+    rotation, laser_p = mount.rotation, beam_p
+    if "bump" in values:
+        bump = _pose(values, "bump")
+        rotation, laser_p = mount.rotation @ bump.rotation, bump.points(beam_p)
+        jacobian["bump"] = _moved(rotation, beam_p)
+    jacobian[sensor] = _moved(mount.rotation, laser_p)
+    beam = np.broadcast_to(rotation[:, 2], (count, 3))
+    if "laser.scale" in values:
+        jacobian["laser.scale"] = (beam * reading_m[:, None])[:, :, None]
+    if "laser.offset" in values:
+        jacobian["laser.offset"] = beam[:, :, None].copy()
+    return _SensorPoints(mount.points(laser_p), jacobian, (1.0 + scale) * beam)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Points (k, 3) with derivatives (k, 3, n) by the state of the belief that they came from."""
+
+    points_m: FloatArray
+    jacobian: FloatArray
+
+    def covariance(self, belief: Belief) -> FloatArray:
+        """(k, 3, 3), m^2: G P G^T."""
+        return self.jacobian @ belief.covariance @ np.swapaxes(self.jacobian, -1, -2)
+
+    def budget(self, belief: Belief) -> dict[str, FloatArray]:
+        """(k, 3, 3) of each source; they add up to the covariance."""
+        return belief.budget(self.jacobian)
+
+
+def point_jacobian(
+    belief: Belief, readings_m: FloatArray, arm: ArmModel | None = None, joints_rad: FloatArray | None = None
+) -> Points:
+    """Points of laser readings (k,) in frame flange, or in frame base with an arm and joints (k, 6).
+
+    Noise of the reading and of the joints is not in here: only what the belief is uncertain of.
+    """
+    values = {block.name: block.value for block in belief.blocks}
+    sensor = _sensor_points(values, "laser", np.asarray(readings_m, dtype=np.float64))
+    points, parts = sensor.flange_p, sensor.jacobian
+    if arm is not None and joints_rad is not None:
+        actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
+        flange, _, parameter_twist = actual.jacobians(joints_rad)
+        rotation = flange[:, :3, :3]
+        parts = {name: rotation @ matrix for name, matrix in parts.items()}
+        if "kinematics" in values:
+            parts["kinematics"] = _moved(rotation, points) @ parameter_twist
+        points = np.einsum("mij,mj->mi", rotation, points) + flange[:, :3, 3]
+    return Points(points, _stacked(belief, parts, len(points)))
+
+
+def object_point_jacobian(belief: Belief, object: str, object_p: FloatArray) -> Points:
+    """Points (k, 3) of an object, given in its frame, in frame base: V [I | -[p]x] of its freedoms."""
+    pose = belief.transform(object)
+    points = np.asarray(object_p, dtype=np.float64).reshape(-1, 3)
+    return Points(pose.points(points), _stacked(belief, {object: _moved(pose.rotation, points)}, len(points)))
+
+
+def _stacked(belief: Belief, parts: Mapping[str, FloatArray], count: int) -> FloatArray:
+    dense = np.zeros((count, 3, belief.size))
+    for name, matrix in parts.items():
+        dense[:, :, belief.index(name)] = matrix[:, :, belief.block(name).active]
+    return dense
+
+
+def _moved(rotation: FloatArray, points: FloatArray) -> FloatArray:
+    """d(H p)/d xi = V [I | -[p]x] (..., 3, 6) for a right perturbation of H (88)."""
+    eye = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    moved: FloatArray = rotation @ np.concatenate([eye, -skew(points)], axis=-1)
+    return moved
+
+
+def _pose_rows(gradient: FloatArray, points: FloatArray) -> FloatArray:
+    """g^T [I | -[p]x] (m, 6): gradient and points in the perturbed frame."""
+    return np.concatenate([gradient, np.cross(points, gradient)], axis=1)
+
+
+def _pose(values: Mapping[str, Value], name: str) -> Transform:
+    value = values.get(name)
+    if not isinstance(value, Transform):
+        raise EstimationError(
+            f"The belief has no pose {name!r}, only {', '.join(values) or 'nothing'}",
+            "Run the phase that adds it first",
+        )
+    return value
+
+
+def _vector(values: Mapping[str, Value], name: str) -> FloatArray:
+    value = values.get(name)
+    if value is None or isinstance(value, Transform):
+        raise EstimationError(
+            f"The belief has no vector {name!r}, only {', '.join(values) or 'nothing'}",
+            "Add the block with its prior first",
+        )
+    return value
+
+
+def _sized(values: Mapping[str, Value], name: str, size: int) -> FloatArray:
+    value = _vector(values, name)
+    if value.size != size:
+        raise EstimationError(f"Block {name!r} holds {value.size} numbers, {size} are used", "Check it")
+    return value

@@ -1,0 +1,188 @@
+"""Which directions of the state the data determine, and in words which they do not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
+
+from estimation.belief import POSE_FREEDOMS, Belief
+from estimation.errors import DegenerateGeometry
+from estimation.transform import FloatArray, Transform
+
+# Smallest over largest singular value, columns scaled to length 1. Hand-eye poses with a tilt of 3 deg
+# give about 1e-2, exact degeneracy 1e-16; poses meant to be degenerate, but for settling errors, 1e-4.
+RANK_TOLERANCE: Final = 1e-3
+_HELD_RATIO: Final = 0.9  # of posterior over prior std: the data say next to nothing
+_NAMED_SHARE: Final = 0.1  # of the largest component: smaller ones are not worth a word
+_ZERO_COLUMN: Final = 1e-12  # of the largest column of the same unit
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """One direction of the state that the data leave open.
+
+    `components` are (label, amount) in the unit of each freedom; only those worth naming.
+    """
+
+    components: tuple[tuple[str, float], ...]
+    words: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankReport:
+    """Rank of the target blocks on the data alone, all other blocks held.
+
+    Attributes
+    ----------
+    singular_values : (q,) of the whitened Jacobian with columns of length 1, largest first.
+    missing : directions with no information in the data.
+    held_by_prior : directions, with all blocks free, whose uncertainty is the prior's still.
+    """
+
+    rank: int
+    unknowns: int
+    singular_values: FloatArray
+    missing: tuple[Direction, ...]
+    held_by_prior: tuple[Direction, ...]
+
+    @property
+    def complete(self) -> bool:
+        """The data alone determine every target."""
+        return self.rank == self.unknowns
+
+    def require(self) -> None:
+        """Raise DegenerateGeometry, with the missing directions in words, unless complete."""
+        if not self.complete:
+            raise DegenerateGeometry(
+                f"Rank {self.rank} of {self.unknowns}: "
+                + "; ".join(direction.words for direction in self.missing),
+                "; ".join(dict.fromkeys(direction.remedy for direction in self.missing)),
+            )
+
+
+def rank_report(
+    prior: Belief,
+    posterior: Belief,
+    jacobian: FloatArray,
+    variance: FloatArray,
+    targets: Sequence[str],
+    tolerance: float = RANK_TOLERANCE,
+) -> RankReport:
+    """Scale-free rank test of some blocks.
+
+    Parameters
+    ----------
+    jacobian, variance : (m, n) by the state of the belief, and (m,) m^2; independent rows.
+    targets : the blocks to test. Directions held only by the prior are sought among these as well.
+    tolerance : smallest over largest singular value that counts as information.
+    """
+    columns = np.concatenate([np.arange(prior.size)[prior.index(name)] for name in targets]).astype(np.intp)
+    whitened = jacobian[:, columns] / np.sqrt(variance)[:, None]
+    units = np.array([unit for name in targets for unit in prior.block(name).units])
+    length = np.linalg.norm(whitened, axis=0)
+    largest = np.array([length[units == unit].max() for unit in units])
+    seen = length > _ZERO_COLUMN * largest
+    scale = np.where(seen, length, 1.0)
+    scaled = np.where(seen, whitened / scale, 0.0)
+    # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
+    padding = np.zeros((max(len(columns) - len(scaled), 0), len(columns)))
+    _, singular, right = np.linalg.svd(np.vstack([scaled, padding]), full_matrices=False)
+    rank = int(np.sum(singular > tolerance * max(singular[0], np.finfo(float).tiny)))
+    # An unseen freedom has no length of its own: it takes the one that the others of its unit have.
+    worth = np.where(seen, scale, np.where(largest > 0.0, largest, 1.0))
+    return RankReport(
+        rank=rank,
+        unknowns=len(columns),
+        singular_values=singular,
+        missing=_directions(prior, columns, right[rank:], worth, False),
+        held_by_prior=_held(prior, posterior, columns, worth),
+    )
+
+
+def _held(
+    prior: Belief, posterior: Belief, columns: NDArray[np.intp], worth: FloatArray
+) -> tuple[Direction, ...]:
+    """Directions in which the posterior is as wide as the prior."""
+    grid = np.ix_(columns, columns)
+    std = np.sqrt(np.diag(prior.covariance)[columns])
+    known = std == 0.0  # exactly known: nothing to hold
+    if known.all():
+        return ()
+    free = ~known
+    small = np.ix_(free, free)
+    scale = std[free]
+    before = prior.covariance[grid][small] / np.outer(scale, scale)
+    after = posterior.covariance[grid][small] / np.outer(scale, scale)
+    try:
+        root = np.linalg.cholesky(before)
+    except np.linalg.LinAlgError:  # the prior itself ties directions together
+        return ()
+    half = solve_triangular(root, after, lower=True)
+    ratio = solve_triangular(root, half.T, lower=True)
+    values, vectors = np.linalg.eigh(0.5 * (ratio + ratio.T))
+    chosen = vectors[:, values > _HELD_RATIO**2]
+    directions = (root @ chosen).T * scale * worth[free]
+    return _directions(prior, columns[free], directions, worth[free], True)
+
+
+def _directions(
+    belief: Belief, columns: NDArray[np.intp], basis: FloatArray, worth: FloatArray, held: bool
+) -> tuple[Direction, ...]:
+    """The rows of `basis` (k, q), in units of `worth`, as sparse directions in words."""
+    if len(basis) == 0:
+        return ()
+    # Reduced echelon form: each direction has a freedom of its own, which makes the sentences short.
+    _, _, pivots = qr(basis, pivoting=True, mode="economic")
+    sparse = np.linalg.solve(basis[:, pivots[: len(basis)]], basis)
+    labels = belief.labels
+    found = []
+    for row in sparse:
+        size = np.abs(row)
+        named = np.flatnonzero(size >= _NAMED_SHARE * size.max())
+        named = named[np.argsort(-size[named], kind="stable")]
+        amounts = row / worth
+        components = tuple((labels[columns[i]], float(amounts[i])) for i in named)
+        names = [label for label, _ in components]
+        found.append(Direction(components, _words(belief, names, held), _remedy(belief, names)))
+    return tuple(found)
+
+
+def _words(belief: Belief, labels: Sequence[str], held: bool) -> str:
+    names = [_freedom(belief, label) for label in labels]
+    if held:
+        return f"{' with '.join(names)} is known from the prior only"
+    if len(names) == 1:
+        return f"{names[0]} is not seen by the measurements"
+    return f"{', '.join(names[:-1])} and {names[-1]} cannot be told apart"
+
+
+def _freedom(belief: Belief, label: str) -> str:
+    block, _, freedom = label.rpartition(".")
+    if isinstance(belief.value(block), Transform):
+        motion = "translation" if freedom.startswith("t") else "rotation"
+        return f"{motion} of the {block} {'along' if motion == 'translation' else 'about'} {freedom[-1]}"
+    own = block.rpartition(".")[2] == freedom
+    return f"{block.replace('.', ' ')}" if own else f"{freedom} of {block.replace('.', ' ')}"
+
+
+def _remedy(belief: Belief, labels: Sequence[str]) -> str:
+    blocks = {label.rpartition(".")[0] for label in labels}
+    if "laser" in blocks:
+        return "Tilt the tool by 20 deg or more in at least two directions, and turn it about the beam"
+    if "kinematics" in blocks:
+        return "Move every joint through a wider range"
+    if "probe" in blocks or "probe.radius" in blocks:
+        return "Touch the sphere from more sides, with the tool turned"
+    name = sorted(blocks)[0]
+    if name in belief and isinstance(belief.value(name), Transform):
+        freedoms = {label.rpartition(".")[2] for label in labels if label.startswith(f"{name}.")}
+        axes = sorted({POSE_FREEDOMS[POSE_FREEDOMS.index(freedom)][-1] for freedom in freedoms})
+        along = " and ".join(axes)
+        if all(freedom.startswith("t") for freedom in freedoms):
+            return f"Measure a surface of the {name} whose normal points along its {along}"
+        return f"Spread the points further apart on the {name}, across its {along}, and on more surfaces"
+    return f"Measure {name.replace('.', ' ')} itself, or give it a smaller prior uncertainty"
