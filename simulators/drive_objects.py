@@ -42,7 +42,7 @@ class ObjectEntry:
 
 
 def _entries() -> dict[Key, ObjectEntry]:
-    """Every object that this drive has. 603F, 605A..605E, 6067, 6068, 6071, 6084, 6085, 6099, 60FF are absent."""
+    """Every object that this drive has. Absent: 603F, 605A-605E, 6067, 6068, 6071, 6084, 6085, 6099, 60FF."""
     table: list[tuple[int, int, str, Value, str]] = [
         (0x1000, 0, "u32", 0x00020192, "r"),
         (0x1001, 0, "u8", 0, "rm"),
