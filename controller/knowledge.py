@@ -1,5 +1,6 @@
 """What the cell file says is known before anything was measured: blocks of the belief, surfaces, noise."""
 
+import os
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -27,11 +28,17 @@ def first_belief(cell: Cell) -> Belief:
     free = cell.robot.arm_model().parameter_labels
     if free:
         belief = belief.with_block(
-            "kinematics", np.zeros(len(free)), std=cell.robot.parameter_u(), freedoms=free, source="kinematics"
+            "kinematics",
+            np.zeros(len(free)),
+            std=cell.robot.parameter_u(),
+            freedoms=free,
+            source="kinematics",
         )
     mount = cell.laser.mount
     std = [mount.position_u_m] * 3 + [mount.rotation_u_rad] * 2
-    belief = belief.with_block("laser", mount.transform(), std=std, freedoms=LASER_FREEDOMS, source="laser mount")
+    belief = belief.with_block(
+        "laser", mount.transform(), std=std, freedoms=LASER_FREEDOMS, source="laser mount"
+    )
     belief = belief.with_block("laser.scale", 0.0, std=cell.laser.scale_u, source="laser scale")
     return belief.with_block("laser.offset", 0.0, std=cell.laser.offset_u_m, source="laser offset")
 
@@ -40,7 +47,9 @@ def with_plate(belief: Belief, cell: Cell) -> Belief:
     """Adds the plane of the calibration plate."""
     plate = cell.plate
     std = [plate.position_u_m] + [plate.rotation_u_rad] * 2
-    return belief.with_block("plate", plate.transform(), std=std, freedoms=PLANE_FREEDOMS, source="plate place")
+    return belief.with_block(
+        "plate", plate.transform(), std=std, freedoms=PLANE_FREEDOMS, source="plate place"
+    )
 
 
 def with_bar(belief: Belief, cell: Cell) -> Belief:
@@ -49,7 +58,9 @@ def with_bar(belief: Belief, cell: Cell) -> Belief:
     std = [bar.position_u_m] * 3 + [bar.rotation_u_rad] * 2
     belief = belief.with_block("bar", bar.transform(), std=std, freedoms=BAR_FREEDOMS, source="bar place")
     belief = belief.with_block("bar.length", bar.length_m, std=bar.length_u_m, source="bar certificate")
-    return belief.with_block("bar.radius", bar.sphere_radius_m, std=bar.sphere_radius_u_m, source="bar certificate")
+    return belief.with_block(
+        "bar.radius", bar.sphere_radius_m, std=bar.sphere_radius_u_m, source="bar certificate"
+    )
 
 
 def with_part(belief: Belief, cell: Cell) -> Belief:
@@ -68,13 +79,21 @@ def with_probe(belief: Belief, cell: Cell) -> Belief:
     """Adds the stylus and the sphere on which it is qualified."""
     probe, sphere = cell.probe, cell.sphere
     belief = belief.with_block(
-        "probe", probe.mount.transform(), std=probe.mount.position_u_m, freedoms=POINT_FREEDOMS, source="probe mount"
+        "probe",
+        probe.mount.transform(),
+        std=probe.mount.position_u_m,
+        freedoms=POINT_FREEDOMS,
+        source="probe mount",
     )
-    belief = belief.with_block("probe.radius", probe.ball_radius_m, std=probe.ball_radius_u_m, source="probe ball")
+    belief = belief.with_block(
+        "probe.radius", probe.ball_radius_m, std=probe.ball_radius_u_m, source="probe ball"
+    )
     belief = belief.with_block(
         "sphere", sphere.transform(), std=sphere.position_u_m, freedoms=POINT_FREEDOMS, source="sphere place"
     )
-    return belief.with_block("sphere.radius", sphere.radius_m, std=sphere.radius_u_m, source="sphere certificate")
+    return belief.with_block(
+        "sphere.radius", sphere.radius_m, std=sphere.radius_u_m, source="sphere certificate"
+    )
 
 
 def with_inspected(belief: Belief, cell: Cell) -> Belief:
@@ -92,15 +111,28 @@ def with_inspected(belief: Belief, cell: Cell) -> Belief:
     return belief
 
 
+def cache_dir() -> Path:
+    """Where parsed CAD files are kept between starts."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "truecell"
+
+
 @lru_cache(maxsize=8)
-def _faces(cad: Path, cache_dir: Path | None) -> tuple[CadFace, ...]:
-    return read_step_faces(cad, cache_dir=cache_dir)
+def _faces(cad: Path, modified_ns: int) -> tuple[CadFace, ...]:
+    return read_step_faces(cad, cache_dir=cache_dir())
+
+
+@lru_cache(maxsize=8)
+def _named_faces(
+    cad: Path, modified_ns: int, points: tuple[tuple[str, tuple[float, ...]], ...]
+) -> dict[str, CadFace]:
+    faces = _faces(cad, modified_ns)
+    return {name: face_at(faces, np.array(at_m)) for name, at_m in points}
 
 
 def part_faces(cell: Cell) -> dict[str, CadFace]:
     """The CAD face of each named feature. Raises CellFileError, EstimationError."""
-    faces = _faces(cell.cad_path, cell.cache_dir)
-    return {feature.name: face_at(faces, np.asarray(feature.at_m)) for feature in cell.part.features}
+    points = tuple((feature.name, feature.at_m) for feature in cell.part.features)
+    return _named_faces(cell.cad_path, cell.cad_path.stat().st_mtime_ns, points)
 
 
 def part_features(cell: Cell) -> tuple[Feature, ...]:
@@ -132,7 +164,9 @@ def part_corners_m(cell: Cell) -> FloatArray:
     """Corners (8, 3) of the block that the localized faces span, frame of the part."""
     planes = [face.bounds_m for face in part_faces(cell).values() if face.kind == "plane"]
     bounds = np.stack([np.min([b[0] for b in planes], axis=0), np.max([b[1] for b in planes], axis=0)])
-    return np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    return np.array(
+        [[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
 
 
 def joint_variance(cell: Cell, readings: int) -> float:

@@ -1,0 +1,254 @@
+"""The job: phases in order, each planned, acquired, estimated and gated; resumable from the store.
+
+Nothing is remembered here that the store does not hold: `execute` walks through the phases from the
+first, takes what the store already has, and goes on where it ends. A restart is the same walk.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from controller.acquisition import Acquisition
+from controller.cellfile import Cell
+from controller.cellfile.job import Phase as PhaseSpec
+from controller.faults import GateHeld, OutsideCause
+from controller.gates import worst
+from controller.knowledge import first_belief
+from controller.phases import kind_of
+from controller.phases.base import Finding, PhaseContext, PhaseRecord
+from controller.phases.reference import reference_excess
+from controller.planning.feasibility import refuse_impossible_limits
+from controller.planning.steps import Step
+from controller.samples import Sample
+from controller.store import Run, Store
+from drivers.capabilities import Devices
+from drivers.clock import Clock
+from estimation.belief import Belief
+from estimation.errors import DeviceError, StoreError
+from estimation.statistics import Outcome
+
+FIRST_MISSES = 3  # so many first points of a part without a target mean that there is no part
+REFERENCES = 2  # known points that are measured again after an interruption
+
+
+class CellJob:
+    """The job of one cell file, against one store and one set of devices."""
+
+    def __init__(self, cell: Cell, devices: Devices, store: Store, clock: Clock, version: str) -> None:
+        self._cell, self._store, self._clock, self._version = cell, store, clock, version
+        self._devices = devices
+        self._arm = cell.robot.arm_model()
+        self._acquisition = Acquisition(cell, self._arm, devices, clock)
+        self._seed = int(hashlib.sha256(cell.digest.encode()).hexdigest()[:8], 16)  # same job, same plan
+        self._run: Run | None = None
+        self._progress: dict[str, Any] = {}
+        self.publish: Callable[[dict[str, Any]], None] = lambda event: None
+
+    # What the engine calls
+
+    def prepare(self) -> None:
+        """Raises GateHeld when a limit cannot be met: before a port is opened or anything moves."""
+        refuse_impossible_limits(self._cell)
+
+    def begin(self) -> None:
+        """Go on with the run that a crash or an abort left open, or open a new one."""
+        run = self._store.last_open_run()
+        if run is not None and run.cell_digest != self._cell.digest:
+            self._store.close_run(run.id, "superseded: the cell file changed")
+            run = None
+        if run is None:
+            opened = self._store.begin_run(
+                self._cell.path.read_text(), self._cell.digest, self._version, simulated=self._cell.simulated
+            )
+            self._run = self._store.run(opened)
+        else:
+            self._run = run
+            self.record("resumed", f"Run {run.id} goes on from its last sample")
+            self.verify_reference()
+
+    def execute(self, checkpoint: Callable[[], None]) -> None:
+        """All phases to the end. Raises Interrupted from `checkpoint`, GateHeld, OutsideCause, CellError."""
+        belief = first_belief(self._cell)
+        earlier: dict[str, PhaseRecord] = {}
+        for index, spec in enumerate(self._cell.job.phases):
+            context: PhaseContext[Any] = PhaseContext(
+                self._cell, spec, self._arm, belief, earlier, self._seed
+            )
+            stored = [result for result in self._store.results(self.run.id) if result.phase == spec.name]
+            if stored and stored[-1].verdict == Outcome.OK:
+                attempt, last = stored[-1].attempt, stored[-1]
+                estimate = last.result["estimate"]
+                belief = Belief.from_dict(last.belief) if last.belief is not None else belief
+            else:
+                attempt = len(stored) + 1
+                finding = self._phase(index, context, attempt, checkpoint)
+                estimate, belief = finding.estimate, finding.belief
+            steps = self._steps(spec, attempt)
+            earlier[spec.name] = PhaseRecord(
+                spec.name, spec.kind, tuple(steps), tuple(self._samples(spec, attempt)), estimate
+            )
+
+    def verify_reference(self) -> None:
+        """Measure the first plate points of this run again; raises DeviceError if they moved."""
+        for step, before in self._references():
+            self._tell(phase="reference", activity="acquiring", text="measuring a known point again")
+            again = self._acquisition.take(step)
+            self._acquisition.retreat(step)
+            self._store.event(
+                "reference", f"step {step.id} measured again", before=before.to_dict(), again=again.to_dict()
+            )
+            excess = reference_excess(self._cell, self._arm, before, again)
+            if excess is not None:
+                raise DeviceError(
+                    f"The reference point on the plate moved by {excess.moved_m * 1e3:.3f} mm, "
+                    f"limit {excess.limit_m * 1e3:.3f} mm",
+                    "Laser, plate or robot changed during the interruption: find out what, then Stop, Reset and Start anew",
+                )
+
+    def complete(self) -> None:
+        """Close the run with the verdict of all its phases."""
+        self._store.close_run(self.run.id, self.outcome().value)
+        self._tell(phase=None, activity="completed", outcome=self.outcome().value)
+
+    def end(self, state: str) -> None:
+        if self._run is not None:
+            self._store.close_run(self._run.id, state)
+            self._run = None
+
+    def status(self) -> dict[str, Any]:
+        run = self._run
+        return {
+            "cell": self._cell.name,
+            "run": None if run is None else run.id,
+            "progress": dict(self._progress),
+        }
+
+    def record(self, kind: str, text: str, **data: Any) -> None:
+        self._store.event(kind, text, **data)
+
+    # Phases
+
+    @property
+    def run(self) -> Run:
+        if self._run is None:
+            raise StoreError("No run is open", "Reset and Start")
+        return self._run
+
+    def outcome(self) -> Outcome:
+        """Of the whole run: the worst last verdict; Undefined while a phase is missing."""
+        last = {result.phase: Outcome(result.verdict) for result in self._store.results(self.run.id)}
+        names = [spec.name for spec in self._cell.job.phases]
+        return worst(last.get(name, Outcome.UNDEFINED) for name in names)
+
+    def _phase(
+        self, index: int, context: PhaseContext[Any], attempt: int, checkpoint: Callable[[], None]
+    ) -> Finding:
+        """One attempt at one phase, from wherever the store says it was left."""
+        spec, kind = context.spec, kind_of(context.spec, self._cell.job.phases)
+        steps = self._steps(spec, attempt)
+        if not steps:
+            self._tell(phase=spec.name, activity="planning", attempt=attempt)
+            steps = self._extend(index, spec, attempt, [], kind.plan(context))
+        while True:
+            samples = self._acquire(spec, attempt, steps, checkpoint)
+            further = kind.more(context, steps, samples)
+            if not further:
+                self._tell(phase=spec.name, activity="estimating", attempt=attempt)
+                finding = kind.evaluate(context, samples)
+                if not finding.verdict.passed and finding.verdict.curable:
+                    further = kind.extend(context, steps, samples, finding)
+                if not further:
+                    break
+            steps = self._extend(index, spec, attempt, steps, further)
+        self._conclude(spec, attempt, finding)
+        return finding
+
+    def _conclude(self, spec: PhaseSpec, attempt: int, finding: Finding) -> None:
+        verdict = finding.verdict
+        ids = [sample.id for sample in self._store.samples(self.run.id, spec.name, attempt)]
+        calibration = [result.content_hash for result in self._store.results(self.run.id)]
+        self._store.save_result(
+            self.run.id,
+            spec.name,
+            attempt,
+            verdict=verdict.outcome.value,
+            result={"kind": spec.kind, "estimate": finding.estimate, "verdict": verdict.to_dict()},
+            belief=finding.belief.to_dict(),
+            sample_ids=ids,
+            calibration=calibration[-1] if calibration else None,
+        )
+        self._tell(phase=spec.name, activity="gated", outcome=verdict.outcome.value, text=verdict.message)
+        if not verdict.passed and spec.kind != "inspect":
+            raise GateHeld(spec.name, verdict)
+
+    def _acquire(
+        self, spec: PhaseSpec, attempt: int, steps: Sequence[Step], checkpoint: Callable[[], None]
+    ) -> list[Sample]:
+        """Take what is missing of the steps; a sample counts once the store has it."""
+        waiting = set(self._store.retakes(self.run.id, spec.name, attempt))
+        stored = self._store.samples(self.run.id, spec.name, attempt, include_excluded=True)
+        done = {sample.step for sample in stored} - waiting
+        misses = 0
+        for place, step in enumerate(steps):
+            if place in done:
+                continue
+            checkpoint()
+            sample = self._acquisition.take(step)
+            self._store.add_sample(self.run.id, spec.name, attempt, place, step.kind, sample.to_dict())
+            self._acquisition.retreat(step)
+            done.add(place)
+            self._tell(
+                phase=spec.name,
+                activity="acquiring",
+                attempt=attempt,
+                step=len(done),
+                steps=len(steps),
+                text=sample.why,
+            )
+            misses = 0 if sample.good else misses + 1
+            if step.object == "part" and misses == FIRST_MISSES == len(done):
+                self._mark_for_retake(spec, attempt)
+                raise OutsideCause(
+                    "No part: the first three points found nothing", "Put the part in, then Unsuspend"
+                )
+        return self._samples(spec, attempt)
+
+    def _mark_for_retake(self, spec: PhaseSpec, attempt: int) -> None:
+        for stored in self._store.samples(self.run.id, spec.name, attempt):
+            self._store.retake(stored.id, "no part in the cell", "engine")
+
+    def _extend(
+        self, index: int, spec: PhaseSpec, attempt: int, steps: Sequence[Step], further: Sequence[Step]
+    ) -> list[Step]:
+        plan = [*steps, *further]
+        self._store.save_plan(
+            self.run.id, index, spec.name, attempt, {"steps": [step.to_dict() for step in plan]}
+        )
+        return plan
+
+    def _steps(self, spec: PhaseSpec, attempt: int) -> list[Step]:
+        stored = self._store.plan(self.run.id, spec.name, attempt)
+        return [] if stored is None else [Step.from_dict(step) for step in stored.plan["steps"]]
+
+    def _samples(self, spec: PhaseSpec, attempt: int) -> list[Sample]:
+        """What the store holds for this attempt, without what was excluded or is to be taken again."""
+        stored = self._store.samples(self.run.id, spec.name, attempt)
+        return [Sample.from_dict(record.payload) for record in stored]
+
+    def _references(self) -> list[tuple[Step, Sample]]:
+        """The first good laser points on the plate in this run, with the steps that took them."""
+        for spec in self._cell.job.phases:
+            for attempt in (1, 2, 3):
+                steps = {step.id: step for step in self._steps(spec, attempt)}
+                plate = [
+                    s
+                    for s in self._samples(spec, attempt)
+                    if s.good and s.object == "plate" and s.kind == "laser"
+                ]
+                if plate:
+                    return [(steps[sample.step], sample) for sample in plate[:REFERENCES]]
+        return []
+
+    def _tell(self, **progress: Any) -> None:
+        self._progress = progress
+        self.publish({"event": "progress", **progress})

@@ -1,0 +1,147 @@
+"""From an estimator's result to proofs, and to the numbers that people read."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from controller.gates import Proof, worst
+from estimation.belief import Belief
+from estimation.measurement import Points
+from estimation.solver import Update
+from estimation.statistics import Outcome, coverage_factor
+from estimation.transform import FloatArray, Transform
+
+CONSISTENCY_LEVEL = 0.002  # probability that an honest cell fails the chi-square test of one fit
+
+
+def gated_points(points: Points, belief: Belief, names: Sequence[str]) -> list[dict[str, Any]]:
+    """U, ellipsoid and budget of each point: what a gate looks at and a picture shows."""
+    covariance = points.covariance(belief)
+    budget = points.budget(belief)
+    factor = coverage_factor(3)
+    gated = []
+    for i, name in enumerate(names):
+        variance, axes = np.linalg.eigh(covariance[i])
+        along = axes[:, -1]
+        shares = {
+            source: float(along @ matrix[i] @ along / variance[-1]) for source, matrix in budget.items()
+        }
+        gated.append(
+            {
+                "point": name,
+                "position_m": points.points_m[i].tolist(),
+                "U_m": float(factor * np.sqrt(variance[-1])),
+                "axes_m": (factor * np.sqrt(np.maximum(variance, 0.0))).tolist(),
+                "directions": axes.T.tolist(),
+                "budget": dict(sorted(shares.items(), key=lambda item: -item[1])),
+            }
+        )
+    return gated
+
+
+def worst_point(gated: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """The gated point with the largest U."""
+    return max(gated, key=lambda point: float(point["U_m"]))
+
+
+def uncertainty_proof(gated: Sequence[Mapping[str, Any]], limit_m: float) -> Proof:
+    """The largest U held against the limit of the phase."""
+    point = worst_point(gated)
+    source, share = next(iter(point["budget"].items()))
+    return Proof.at_most(
+        "expanded uncertainty",
+        point["U_m"] * 1e3,
+        limit_m * 1e3,
+        "mm",
+        f"U (3-D, 95 %) at {point['point']}; {source} contributes {share:.0%} of the variance",
+    )
+
+
+def consistency_proof(update: Update, level: float = CONSISTENCY_LEVEL) -> Proof:
+    """Residuals against the declared noise, full covariance, both ways (STANDARDS: global test)."""
+    lower, upper = chi_square.ppf([level / 2, 1 - level / 2], update.dof)
+    inside = lower <= update.chi2 <= upper
+    word = (
+        "as declared"
+        if inside
+        else "larger than declared"
+        if update.chi2 > upper
+        else "smaller than declared"
+    )
+    return Proof(
+        "chi-square of the residuals",
+        update.chi2,
+        float(upper if update.chi2 >= lower else lower),
+        "",
+        Outcome.OK if inside else Outcome.NOT_DECIDABLE,
+        f"{update.dof} degrees of freedom, band {lower:.1f} to {upper:.1f}: residuals are {word}",
+    )
+
+
+def rank_proof(update: Update) -> Proof:
+    """Every freedom of the target blocks is seen by the data themselves, not only by the prior."""
+    missing = [] if update.rank is None else [direction.words for direction in update.rank.missing]
+    return Proof(
+        "directions held by no measurement",
+        float(len(missing)),
+        0.0,
+        "",
+        Outcome.NOT_DECIDABLE if missing else Outcome.OK,
+        "; ".join(missing) if missing else "the data determine every freedom",
+    )
+
+
+def fit_summary(update: Update) -> dict[str, Any]:
+    """How the estimator came to its result."""
+    return {
+        "chi2": update.chi2,
+        "dof": update.dof,
+        "p_value": update.p_value,
+        "variance_factor": update.variance_factor,
+        "rejected": int(np.sum(update.rejected)),
+        "iterations": update.iterations,
+        "stop_reason": update.stop_reason,
+        "initial_cost": update.initial_cost,
+        "final_cost": update.final_cost,
+        "standardised_residuals": update.standardised.tolist(),
+        "residuals_m": update.residual_m.tolist(),
+    }
+
+
+def block_values(belief: Belief, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Each freedom with value and standard uncertainty, for tables."""
+    rows = []
+    for name in names:
+        block, std = belief.block(name), belief.std(name)
+        values = _freedom_values(block.value, block.freedoms)
+        for freedom, unit, value, u in zip(block.freedoms, block.units, values, std, strict=True):
+            rows.append({"name": f"{name} {freedom}", "value": float(value), "u": float(u), "unit": unit})
+    return rows
+
+
+def _freedom_values(value: Transform | FloatArray, freedoms: Sequence[str]) -> FloatArray:
+    if not isinstance(value, Transform):
+        return value
+    from scipy.spatial.transform import Rotation
+
+    angles = Rotation.from_matrix(value.rotation).as_euler("xyz")
+    every = dict(zip(("tx", "ty", "tz", "rx", "ry", "rz"), [*value.origin_m, *angles], strict=True))
+    return np.array([every[freedom] for freedom in freedoms])
+
+
+def pose_dict(transform: Transform) -> dict[str, Any]:
+    """A transform for JSON: frames, and the matrix in metres."""
+    return {"target": transform.target, "source": transform.source, "matrix": transform.matrix.tolist()}
+
+
+def message(proofs: Sequence[Proof], done: str) -> str:
+    """One sentence: `done` when all passed, else the worst proof with value, limit and unit."""
+    failed = [proof for proof in proofs if proof.outcome is not Outcome.OK]
+    if not failed:
+        return done
+    ruling = worst(proof.outcome for proof in failed)
+    proof = next(proof for proof in failed if proof.outcome is ruling)
+    unit = f" {proof.unit}" if proof.unit else ""
+    return f"{proof.name} {proof.value:.3g}{unit}, limit {proof.limit:.3g}{unit}: {proof.detail}"

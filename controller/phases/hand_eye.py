@@ -1,0 +1,92 @@
+"""Hand-eye: where the laser sits on the flange, from the plate, jointly with the kinematic parameters."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from controller.cellfile import job
+from controller.gates import Verdict
+from controller.knowledge import observations, with_plate
+from controller.phases import findings
+from controller.phases.base import Finding, PhaseContext, good
+from controller.planning import more_hand_eye, plan_hand_eye
+from controller.planning.steps import Step
+from controller.samples import Sample
+from estimation.belief import Belief
+from estimation.measurement import point_jacobian
+from estimation.solver import update
+
+OUTLIER_LEVEL = 0.001  # probability that an honest batch loses a row
+MORE_AT_ONCE = 20
+
+
+class HandEyePhase:
+    """Laser on the plate from planned poses."""
+
+    def plan(self, context: PhaseContext[job.HandEyePhase]) -> Sequence[Step]:
+        prior = with_plate(context.belief, context.cell)
+        return plan_hand_eye(context.cell, prior, context.arm, context.spec.measurements, context.seed).steps
+
+    def more(
+        self, context: PhaseContext[job.HandEyePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Sequence[Step]:
+        return ()
+
+    def evaluate(self, context: PhaseContext[job.HandEyePhase], samples: Sequence[Sample]) -> Finding:
+        prior = with_plate(context.belief, context.cell)
+        batches = observations(context.cell, good(samples))
+        fit = update(
+            prior,
+            context.arm,
+            batches,
+            targets=("laser", "plate"),
+            phase="hand-eye",
+            reject_level=OUTLIER_LEVEL,
+        )
+        gated = self.gated(context, fit.belief)
+        uncertainty = findings.uncertainty_proof(gated, context.spec.limit_m)
+        proofs = (findings.rank_proof(fit), findings.consistency_proof(fit), uncertainty)
+        only_uncertainty = all(proof is uncertainty or proof.outcome.value == "OK" for proof in proofs)
+        source = next(iter(findings.worst_point(gated)["budget"]))
+        verdict = Verdict(
+            proofs,
+            findings.message(
+                proofs, f"Hand-eye known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
+            ),
+            ""
+            if all(proof.outcome.value == "OK" for proof in proofs)
+            else f"Reduce {source}, or raise the limit",
+            curable=only_uncertainty,
+        )
+        estimate: dict[str, Any] = {
+            "pose": findings.pose_dict(fit.belief.transform("laser")),
+            "values": findings.block_values(
+                fit.belief, ["laser", "laser.scale", "laser.offset", "plate", "kinematics"]
+            ),
+            "gated": gated,
+            "limit_m": context.spec.limit_m,
+            "fit": findings.fit_summary(fit),
+        }
+        return Finding(verdict, fit.belief, estimate)
+
+    def extend(
+        self,
+        context: PhaseContext[job.HandEyePhase],
+        steps: Sequence[Step],
+        samples: Sequence[Sample],
+        finding: Finding,
+    ) -> Sequence[Step]:
+        left = context.spec.most_measurements - len(steps)
+        if left <= 0:
+            return ()
+        return more_hand_eye(
+            context.cell, finding.belief, context.arm, steps, min(left, MORE_AT_ONCE), context.seed
+        ).steps
+
+    @staticmethod
+    def gated(context: PhaseContext[job.HandEyePhase], belief: Belief) -> list[dict[str, Any]]:
+        """The point of a reading, in the flange, at each gated range: offset and mount count as one there."""
+        ranges_m = np.array(context.spec.gated_ranges_m)
+        names = [f"{range_m * 1e3:.0f} mm" for range_m in ranges_m]
+        return findings.gated_points(point_jacobian(belief, ranges_m), belief, names)

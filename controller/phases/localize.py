@@ -1,0 +1,121 @@
+"""Localization: where the part lies, from laser points on its faces."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from controller.cellfile import job
+from controller.faults import OutsideCause
+from controller.gates import Verdict
+from controller.knowledge import observations, part_corners_m, with_part
+from controller.phases import findings
+from controller.phases.base import Finding, PhaseContext, good
+from controller.planning import more_localize, plan_coarse_localize, plan_localize
+from controller.planning.steps import Step
+from controller.samples import Sample
+from estimation.belief import Belief
+from estimation.measurement import object_point_jacobian
+from estimation.solver import update
+
+OUTLIER_LEVEL = 0.001
+MORE_AT_ONCE = 10
+FEWEST_COARSE = 6  # points without which the six freedoms of the part stay open
+COARSE_NOTE = "coarse"
+
+
+class LocalizePhase:
+    """A few robust points to find the part, then the planned ones; only the latter are fitted."""
+
+    def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
+        prior = with_part(context.belief, context.cell)
+        return plan_coarse_localize(context.cell, prior, context.arm, context.spec, context.seed).steps
+
+    def more(
+        self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Sequence[Step]:
+        if any(step.note != COARSE_NOTE for step in steps):
+            return ()
+        return plan_localize(
+            context.cell, self.found(context, steps, samples), context.arm, context.spec, context.seed
+        ).steps
+
+    def found(
+        self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Belief:
+        """Where the coarse points say that the part is: for aiming only."""
+        coarse = {step.id for step in steps if step.note == COARSE_NOTE}
+        hits = good([sample for sample in samples if sample.step in coarse])
+        if len(hits) < FEWEST_COARSE:
+            raise OutsideCause(
+                f"The part was hit by {len(hits)} of {len(coarse)} search points, at least {FEWEST_COARSE} are needed",
+                "Put the part nearer to its nominal place, then Unsuspend",
+            )
+        prior = with_part(context.belief, context.cell)
+        return update(
+            prior,
+            context.arm,
+            observations(context.cell, hits),
+            phase="search",
+            robust="huber",
+            reject_level=OUTLIER_LEVEL,
+        ).belief
+
+    def evaluate(self, context: PhaseContext[job.LocalizePhase], samples: Sequence[Sample]) -> Finding:
+        prior = with_part(context.belief, context.cell)
+        fine = [
+            sample
+            for sample in good(samples)
+            if not sample.step.startswith(f"{context.spec.name} {COARSE_NOTE}")
+        ]
+        fit = update(
+            prior,
+            context.arm,
+            observations(context.cell, fine),
+            targets=("part",),
+            phase="localize",
+            robust="huber",
+            reject_level=OUTLIER_LEVEL,
+        )
+        corners = part_corners_m(context.cell)
+        names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f}) mm" for x, y, z in corners]
+        gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
+        uncertainty = findings.uncertainty_proof(gated, context.spec.limit_m)
+        proofs = (findings.rank_proof(fit), findings.consistency_proof(fit), uncertainty)
+        passed = all(proof.outcome.value == "OK" for proof in proofs)
+        source = next(iter(findings.worst_point(gated)["budget"]))
+        verdict = Verdict(
+            proofs,
+            findings.message(
+                proofs, f"Part known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
+            ),
+            "" if passed else f"Reduce {source}, or raise the limit",
+            curable=all(proof is uncertainty or proof.outcome.value == "OK" for proof in proofs),
+        )
+        faces = [f"part.{name}" for name in context.spec.faces]
+        estimate: dict[str, Any] = {
+            "pose": findings.pose_dict(fit.belief.transform("part")),
+            "values": findings.block_values(fit.belief, ["part", *faces]),
+            "gated": gated,
+            "limit_m": context.spec.limit_m,
+            "fit": findings.fit_summary(fit),
+        }
+        return Finding(verdict, fit.belief, estimate)
+
+    def extend(
+        self,
+        context: PhaseContext[job.LocalizePhase],
+        steps: Sequence[Step],
+        samples: Sequence[Sample],
+        finding: Finding,
+    ) -> Sequence[Step]:
+        left = context.spec.most_measurements - sum(step.note != COARSE_NOTE for step in steps)
+        if left <= 0:
+            return ()
+        return more_localize(
+            context.cell,
+            finding.belief,
+            context.arm,
+            context.spec,
+            steps,
+            min(left, MORE_AT_ONCE),
+            context.seed,
+        ).steps

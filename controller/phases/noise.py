@@ -1,0 +1,131 @@
+"""Noise: do joints and laser repeat as the cell file declares?"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from controller.cellfile import job
+from controller.gates import Proof, Verdict
+from controller.knowledge import first_belief, observations, with_plate
+from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.findings import message
+from controller.planning import plan_noise
+from controller.planning.steps import Step
+from controller.samples import Sample
+from estimation.measurement import evaluate
+from estimation.transform import FloatArray
+
+LEVEL = 0.001  # probability that an honest joint or laser is called too noisy
+
+
+class NoisePhase:
+    """Scatter of readings at rest, and of laser points on a small patch of the plate."""
+
+    def plan(self, context: PhaseContext[job.NoisePhase]) -> Sequence[Step]:
+        return plan_noise(
+            context.cell, with_plate(context.belief, context.cell), context.arm, context.spec
+        ).steps
+
+    def more(
+        self, context: PhaseContext[job.NoisePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Sequence[Step]:
+        return ()
+
+    def evaluate(self, context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> Finding:
+        still = good(samples, "noise")
+        joints = _joint_proofs(context, still)
+        laser = [_reading_proof(context, good(samples)), _point_proof(context, good(samples))]
+        proofs = [*joints, *(proof for proof in laser if proof is not None)]
+        verdict = Verdict(
+            tuple(proofs),
+            message(proofs, "Joints and laser repeat as declared"),
+            "Have that axis or sensor looked at, or declare its noise in the cell file and plan again",
+        )
+        estimate: dict[str, Any] = {
+            "values": [
+                {"name": proof.name, "value": proof.value, "limit": proof.limit, "unit": proof.unit}
+                for proof in proofs
+            ]
+        }
+        return Finding(verdict, context.belief, estimate)
+
+    def extend(
+        self,
+        context: PhaseContext[job.NoisePhase],
+        steps: Sequence[Step],
+        samples: Sequence[Sample],
+        finding: Finding,
+    ) -> Sequence[Step]:
+        return ()
+
+
+def _pooled(scatter: FloatArray, counts: FloatArray) -> tuple[FloatArray, float]:
+    """Pooled standard deviation of samples with their own means, and its degrees of freedom."""
+    dof = counts - 1
+    return np.sqrt(np.tensordot(dof, scatter**2, axes=1) / dof.sum()), float(dof.sum())
+
+
+def _upper(dof: float, tests: int = 1) -> float:
+    """Largest ratio of seen to declared standard deviation that honest noise shows."""
+    return float(np.sqrt(chi_square.isf(LEVEL / tests, dof) / dof))
+
+
+def _joint_proofs(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> list[Proof]:
+    robot = context.cell.robot
+    if not samples:
+        return []
+    scatter = np.array([sample.joint_scatter_rad for sample in samples])
+    seen, dof = _pooled(scatter, np.array([sample.joint_readings for sample in samples], dtype=np.float64))
+    declared = np.sqrt(robot.joint_noise_rad**2 + robot.encoder_step_rad**2 / 12)
+    limit = declared * _upper(dof, len(seen))
+    order = np.argsort(-seen)  # the noisiest first: a message names that joint
+    return [
+        Proof.at_most(
+            f"noise of joint {j + 1}",
+            float(np.degrees(seen[j])),
+            float(np.degrees(limit)),
+            "deg",
+            f"standard deviation of one reading, {dof:.0f} degrees of freedom, "
+            f"declared {np.degrees(declared):.4f} deg with the encoder step",
+        )
+        for j in order
+    ]
+
+
+def _reading_proof(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> Proof | None:
+    if not samples or context.cell.laser.reading_noise_m == 0.0:
+        return None
+    scatter = np.array([[sample.reading_scatter_m] for sample in samples])
+    seen, dof = _pooled(scatter, np.array([sample.readings for sample in samples], dtype=np.float64))
+    declared = context.cell.laser.reading_noise_m
+    return Proof.at_most(
+        "noise of one laser cycle",
+        float(seen[0] * 1e3),
+        declared * 1e3 * _upper(dof) * 1.02,  # the step of the sensor's output adds about 1 %
+        "mm",
+        f"at rest, {dof:.0f} degrees of freedom, declared {declared * 1e3:.3f} mm",
+    )
+
+
+def _point_proof(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> Proof | None:
+    """Points a few millimetres apart, seen from one posture: what remains about a local plane is noise."""
+    patch = [sample for sample in samples if sample.kind == "laser" and sample.object == "plate"]
+    if len(patch) < 6:
+        return None
+    belief = with_plate(first_belief(context.cell), context.cell)
+    rows = evaluate(belief, context.arm, observations(context.cell, patch))
+    plane = np.column_stack([rows.jacobian["plate"][:, [2, 3, 4]]])  # height and two tilts
+    solution, *_ = np.linalg.lstsq(plane, rows.residual_m, rcond=None)
+    remaining = rows.residual_m - plane @ solution
+    dof = len(patch) - 3
+    declared = float(np.sqrt(np.mean(rows.noise_variance)))
+    seen = float(np.sqrt(remaining @ remaining / dof))
+    return Proof.at_most(
+        "noise of laser points",
+        seen * 1e3,
+        declared * 1e3 * _upper(dof),
+        "mm",
+        f"about a local plane, {dof} degrees of freedom, declared {declared * 1e3:.3f} mm",
+    )
