@@ -1,0 +1,429 @@
+"""The Robot capability of a CANopen CiA 402 arm, one node per joint, in profile position mode.
+
+A move is two PDOs per joint: target and profile velocity (RPDO2), controlword and profile acceleration
+(RPDO1). The new set-point bit is raised one SYNC after the target, so that no drive can start on the old one,
+and all joints start at the same SYNC.
+"""
+
+import contextlib
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from drivers import canopen_arm_codec as codec
+from drivers.canopen_arm_setup import ArmConfig, ArmSetup
+from drivers.canopen_master import CanopenMaster, Sample
+from drivers.capabilities import Identity, JointReadings, LinkHealth, TouchProbe
+from drivers.clock import Clock
+from drivers.links import CanLink
+from drivers.motion_profile import synchronize
+from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from estimation.transform import FloatArray
+
+_FAULT_BIT: Final = 1 << 3  # set in "fault" and "fault reaction active" only
+_ENABLED_MASK: Final = 0x6F
+_ENABLED: Final = 0x27
+_NOT_ENABLED: Final = _ENABLED_MASK & ~_ENABLED
+
+
+class CanopenArm:
+    """Six (or any number of) synchronised joints.
+
+    `stop` may be called from any thread; everything else from one thread at a time.
+    `keep_alive_thread` keeps SYNC and heartbeat alive while no method runs; the deterministic cell, where
+    nothing runs while nobody waits, goes without.
+    """
+
+    def __init__(
+        self, link: CanLink, config: ArmConfig, clock: Clock, *, keep_alive_thread: bool = True
+    ) -> None:
+        self._link, self._config, self._clock = link, config, clock
+        self._keep_alive_thread = keep_alive_thread
+        self._master = CanopenMaster(
+            link,
+            clock,
+            config.node_ids,
+            sync_period_s=config.sync_period_s,
+            sdo_timeout_s=config.sdo_timeout_s,
+            master_id=config.master_id,
+            on_fault=self._quick_stop_all,
+        )
+        self._setup = ArmSetup(self._master, clock, config)
+        self._joints = len(config.node_ids)
+        self._window = max(1, round(config.in_position_rad * config.counts_per_rad))
+        self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
+        self._stop_requested = False
+        self._connected, self._opened = False, 0
+        self._halted = self._commanded = False
+        self._acceleration = [1] * self._joints
+
+    # --- Device --------------------------------------------------------------------------------------
+
+    def connect(self) -> Identity:
+        """Open the bus, compare identities, configure the PDOs, reset faults, enable the drives.
+
+        Raises DeviceError, DeviceTimeout, IdentityMismatch.
+        """
+        self._connected = False
+        self._master.stop_keeper()
+        with self._master.foreground():
+            self._link.reopen()
+            self._opened += 1
+            self._master.reset()
+            identity = self._setup.configure()
+            self._master.start_nodes()
+            self._connected = True
+            if not self._stop_requested:
+                self._enable(reset_faults=True)
+            self._setup.check_mode()
+        if self._keep_alive_thread:
+            self._master.start_keeper()
+        return identity
+
+    def close(self) -> None:
+        """Bring the arm to rest, disable the drives, release the bus; safe twice."""
+        self._master.stop_keeper()
+        if self._connected:
+            self._connected = False
+            with contextlib.suppress(DeviceError), self._master.foreground():
+                self._halt_and_wait()
+                for controlword in (codec.SHUTDOWN, codec.DISABLE_VOLTAGE):
+                    self._send_controlword([controlword] * self._joints)
+                    self._master.next_sample(in_fault=True)
+                    self._master.next_sample(in_fault=True)
+            self._master.stop_sync()
+            with contextlib.suppress(DeviceError):
+                self._setup.release()
+        self._link.close()
+
+    def health(self) -> LinkHealth:
+        """Link counters."""
+        master = self._master
+        bad_frames = master.bad_frames + int(getattr(self._link, "bad_frames", 0))
+        return LinkHealth(master.frames, bad_frames, master.timeouts, max(0, self._opened - 1))
+
+    # --- Robot ---------------------------------------------------------------------------------------
+
+    def move_joints(self, target_rad: FloatArray, speed_fraction: float = 1.0) -> None:
+        """Move on a straight line in joint space; returns at rest within the in-position window.
+
+        `target_rad` (joints,); `speed_fraction` in (0, 1] of the speed limits.
+        Raises MotionStopped, DeviceError (outside limits, not at target, drive fault), DeviceTimeout.
+        """
+        if not 0.0 < speed_fraction <= 1.0:
+            raise DeviceError(f"Speed fraction {speed_fraction:g}", "Give a fraction in (0, 1]")
+        target = self._counts(target_rad)
+        speed_rad_s = np.array(self._config.speed_limit_rad_s) * speed_fraction
+        with self._at_rest_on_error():
+            deadline_s = self._start(target, speed_rad_s)
+            previous: Sample | None = None
+            while not self._arrived(previous, sample := self._motion_sample(), target):
+                previous = sample
+                if self._clock.now_s() > deadline_s:
+                    raise self._not_at_target(sample, target)
+            self._wait(self._config.settle_time_s)
+
+    def move_until_contact(
+        self, target_rad: FloatArray, speed_rad_s: float, probe: TouchProbe
+    ) -> FloatArray | None:
+        """Move towards the target until the probe trips; joints (joints,) at the contact.
+
+        The joints are interpolated between the SYNC samples around the time of contact. None if the target
+        was reached without contact. At rest on return. Raises as `move_joints`, and what the probe raises.
+        """
+        target = self._counts(target_rad)
+        limits = np.minimum(np.array(self._config.speed_limit_rad_s), speed_rad_s)
+        with self._at_rest_on_error():
+            deadline_s = self._start(target, limits)
+            seen = self._master.samples[-1]
+            while (touched_s := probe.touched_at_s()) is None:
+                self._master.service()
+                sample = self._master.samples[-1]
+                if sample is seen:
+                    if self._stop_requested:
+                        raise self._stopped()
+                    continue
+                self._check_sample(sample)
+                if self._arrived(seen, sample, target):
+                    return None
+                if self._clock.now_s() > deadline_s:
+                    raise self._not_at_target(sample, target)
+                seen = sample
+            # The SYNC that makes the halt act also samples the joints: the first sample after the contact.
+            self._command(codec.ENABLE | codec.HALT)
+            self._halted = True
+            self._master.hurry()
+            while self._motion_sample().time_s < touched_s:
+                pass
+            joints_rad = self._joints_at(touched_s)
+            self._halt_and_wait()
+            return joints_rad
+
+    def read_joints(self, count: int) -> JointReadings:
+        """`count` consecutive samples, of SYNCs sent after the call; stamped with the time of the SYNC."""
+        self._require_connection()
+        samples = [self._master.next_sample() for _ in range(count)]
+        counts = np.array([sample.counts for sample in samples], dtype=np.float64)
+        times_s = np.array([sample.time_s for sample in samples])
+        return JointReadings(times_s, counts.reshape(count, self._joints) / self._config.counts_per_rad)
+
+    def is_at_rest(self) -> bool:
+        """Two fresh samples agree, and every enabled drive reports its target or halt as reached."""
+        self._require_connection()
+        first = self._master.next_sample()
+        return self._resting(first, self._master.next_sample())
+
+    def stop(self) -> None:
+        """Quick stop of all joints at once; safe from any thread, at any time, and twice."""
+        with self._command_lock:
+            self._stop_requested = True
+            if self._connected:
+                with contextlib.suppress(DeviceError):  # without a bus, the drives stop by their own watch
+                    self._send_controlword_unlocked([codec.QUICK_STOP] * self._joints)
+                    self._master.interrupt()
+
+    def release(self) -> None:
+        """Forget an earlier `stop`; the next move enables the drives again."""
+        with self._command_lock:
+            self._stop_requested = False
+
+    # --- commands ------------------------------------------------------------------------------------
+
+    def _send_controlword_unlocked(self, controlwords: Sequence[int]) -> None:
+        for node, word, acceleration in zip(
+            self._config.node_ids, controlwords, self._acceleration, strict=True
+        ):
+            self._link.send(codec.RPDO[0] + node, codec.RPDO1.pack(word, acceleration))
+
+    def _send_controlword(self, controlwords: Sequence[int]) -> None:
+        with self._command_lock:
+            self._send_controlword_unlocked(controlwords)
+
+    def _command(self, controlword: int) -> None:
+        """The same controlword to all joints, unless a stop was requested."""
+        with self._command_lock:
+            if self._stop_requested:
+                raise self._stopped()
+            self._send_controlword_unlocked([controlword] * self._joints)
+
+    def _quick_stop_all(self) -> None:
+        """A joint in fault stops alone: the others have to be told."""
+        if self._connected:
+            self._send_controlword([codec.QUICK_STOP] * self._joints)
+
+    def _enable(self, *, reset_faults: bool = False, timeout_s: float = 3.0) -> None:
+        """Lead every drive to "operation enabled", one step of the table per SYNC."""
+        self._halted = self._commanded = False
+        deadline_s = self._clock.now_s() + timeout_s
+        resetting = False
+        while True:
+            sample = self._master.next_sample()
+            states = [codec.drive_state(word) for word in sample.statuswords]
+            if all(state is codec.DriveState.OPERATION_ENABLED for state in states):
+                return
+            faults = [i for i, state in enumerate(states) if state is codec.DriveState.FAULT]
+            expired = self._clock.now_s() > deadline_s
+            if faults and (expired or not reset_faults):
+                raise self._setup.fault_of(faults)
+            if expired:
+                stuck = [i for i, s in enumerate(states) if s is not codec.DriveState.OPERATION_ENABLED]
+                words = states[stuck[0]] or f"statusword {sample.statuswords[stuck[0]]:04X}h"
+                raise DeviceTimeout(
+                    f"{self._master.name(stuck)} cannot be enabled within {timeout_s:g} s: {words}",
+                    "Check the safety circuit and the supply of the drives, then reset",
+                )
+            resetting = not resetting  # a fault reset acts on the rising edge
+            controlwords = [codec.NEXT_CONTROLWORD[s] if s else codec.DISABLE_VOLTAGE for s in states]
+            for i in faults if resetting else ():
+                controlwords[i] = codec.FAULT_RESET
+            with self._command_lock:
+                if self._stop_requested:
+                    raise self._stopped()
+                self._send_controlword_unlocked(controlwords)
+
+    def _start(self, target: list[int], speed_limit_rad_s: FloatArray) -> float:
+        """Start all joints at one SYNC; returns the deadline for the arrival."""
+        self._require_connection()
+        sample = self._master.next_sample()
+        if self._stop_requested:
+            raise self._stopped()
+        if faults := _joints_in_fault(sample):
+            raise self._setup.fault_of(faults)
+        if any(word & _ENABLED_MASK != _ENABLED for word in sample.statuswords):
+            self._enable()
+            sample = self._master.next_sample()
+        config = self._config
+        distance_rad = (np.array(target) - np.array(sample.counts)) / config.counts_per_rad
+        move = synchronize(distance_rad, speed_limit_rad_s, np.array(config.acceleration_limit_rad_s2))
+        # Rounded up: a joint that moves a few counts only must not arrive late.
+        velocity = [max(1, math.ceil(v * config.counts_per_rad)) for v in move.velocity]
+        self._acceleration = [max(1, math.ceil(a * config.counts_per_rad)) for a in move.acceleration]
+        # A halt stays until the new set-point replaces the old one: released alone, the old move would go on.
+        self._command(codec.ENABLE | (codec.HALT if self._halted else 0))
+        with self._command_lock:
+            for node, counts, speed in zip(config.node_ids, target, velocity, strict=True):
+                self._link.send(codec.RPDO[1] + node, codec.RPDO2.pack(counts, speed))
+        self._motion_sample()
+        self._commanded = True
+        self._command(codec.ENABLE | codec.NEW_SET_POINT | codec.CHANGE_IMMEDIATELY)
+        acknowledge_by_s = self._clock.now_s() + 0.5
+        while not (sample := self._motion_sample()).all_set & codec.SET_POINT_ACKNOWLEDGED:
+            if self._clock.now_s() > acknowledge_by_s:
+                silent = [
+                    i for i, word in enumerate(sample.statuswords) if not word & codec.SET_POINT_ACKNOWLEDGED
+                ]
+                raise DeviceTimeout(
+                    f"{self._master.name(silent)} did not take the set-point within 0.5 s",
+                    "Reset; if it recurs, check the mode of operation of this drive",
+                )
+        self._halted = False
+        self._command(codec.ENABLE)
+        return self._clock.now_s() + 1.1 * move.duration_s + config.settle_time_s + config.move_margin_s
+
+    # --- watching a move -----------------------------------------------------------------------------
+
+    def _motion_sample(self) -> Sample:
+        sample = self._master.next_sample()
+        self._check_sample(sample)
+        return sample
+
+    def _check_sample(self, sample: Sample) -> None:
+        """Raise if a move cannot go on."""
+        if self._stop_requested:
+            raise self._stopped()
+        if not sample.any_set & _NOT_ENABLED and sample.all_set & _ENABLED == _ENABLED:
+            if sample.any_set & codec.FOLLOWING_ERROR:
+                joints = [i for i, word in enumerate(sample.statuswords) if word & codec.FOLLOWING_ERROR]
+                raise DeviceError(
+                    f"{self._master.name(joints)} does not follow its set-point",
+                    "Check for a collision, the payload and the speed, then reset",
+                )
+            return
+        faults = _joints_in_fault(sample)
+        if faults:
+            self._quick_stop_all()
+            raise self._setup.fault_of(faults)
+        off = [i for i, word in enumerate(sample.statuswords) if word & _ENABLED_MASK != _ENABLED]
+        state = codec.drive_state(sample.statuswords[off[0]]) or "in an unknown state"
+        raise DeviceError(
+            f"{self._master.name(off)} is {state} during a move",
+            "Check whether the safety system stopped the arm, then reset",
+        )
+
+    def _arrived(self, previous: Sample | None, sample: Sample, target: list[int]) -> bool:
+        """At rest in the window, by the drives' word and by the positions of two samples."""
+        if previous is None or not sample.all_set & codec.TARGET_REACHED:
+            return False
+        window = self._window
+        return all(
+            abs(now - wanted) <= window and abs(now - before) <= window
+            for now, before, wanted in zip(sample.counts, previous.counts, target, strict=True)
+        )
+
+    def _resting(self, first: Sample, second: Sample) -> bool:
+        for word, before, now in zip(second.statuswords, first.counts, second.counts, strict=True):
+            enabled = word & _ENABLED_MASK == _ENABLED
+            if abs(now - before) > self._window:
+                return False
+            # A drive that never got a set-point may leave the bit clear.
+            if enabled and self._commanded and not word & codec.TARGET_REACHED:
+                return False
+        return True
+
+    def _halt_and_wait(self) -> None:
+        """Ramp down without disabling, unless a stop or a fault has already gone further."""
+        with self._command_lock:
+            if not self._stop_requested and self._master.samples:
+                words = self._master.samples[-1].statuswords
+                if all(word & _ENABLED_MASK == _ENABLED for word in words):
+                    self._send_controlword_unlocked([codec.ENABLE | codec.HALT] * self._joints)
+                    self._halted = True
+        self._wait_for_rest()
+
+    def _wait_for_rest(self) -> None:
+        deadline_s = self._clock.now_s() + self._config.move_margin_s
+        first = self._master.next_sample(in_fault=True)
+        while not self._resting(first, second := self._master.next_sample(in_fault=True)):
+            if self._clock.now_s() > deadline_s:
+                raise DeviceTimeout(
+                    f"The arm is not at rest {self._config.move_margin_s:g} s after it was stopped",
+                    "Use the emergency stop and check the brakes",
+                )
+            first = second
+
+    @contextlib.contextmanager
+    def _at_rest_on_error(self) -> Iterator[None]:
+        """Whatever ends a move early, the arm is at rest before the error is raised."""
+        try:
+            yield
+        except BaseException as error:
+            if self._connected:
+                if not isinstance(error, MotionStopped):
+                    with contextlib.suppress(DeviceError):
+                        self._quick_stop_all()
+                with contextlib.suppress(DeviceError):  # the first error names the cause
+                    self._wait_for_rest()
+            raise
+
+    def _wait(self, duration_s: float) -> None:
+        until_s = self._clock.now_s() + duration_s
+        while self._clock.now_s() < until_s:
+            self._motion_sample()
+
+    # --- values and errors ---------------------------------------------------------------------------
+
+    def _counts(self, target_rad: FloatArray) -> list[int]:
+        """Target in counts, refused outside the joint limits."""
+        target = np.asarray(target_rad, dtype=np.float64)
+        if target.shape != (self._joints,) or not np.isfinite(target).all():
+            raise DeviceError(
+                f"Joint target of shape {target.shape} with values {target}",
+                f"Give {self._joints} finite angles",
+            )
+        lower, upper = np.array(self._config.lower_rad), np.array(self._config.upper_rad)
+        outside = np.flatnonzero((target < lower) | (target > upper))
+        if outside.size:
+            i = int(outside[0])
+            low, value, high = np.degrees((lower[i], target[i], upper[i]))
+            raise DeviceError(
+                f"Target of joint {i + 1} is {value:.3f} deg, limits {low:.3f} to {high:.3f} deg",
+                "Choose a pose inside the joint limits",
+            )
+        return [round(float(angle) * self._config.counts_per_rad) for angle in target]
+
+    def _joints_at(self, time_s: float) -> FloatArray:
+        """Joints (joints,) rad, on the line between the samples before and after `time_s`."""
+        samples = list(self._master.samples)[-64:]
+        after = next((i for i, s in enumerate(samples) if s.time_s >= time_s), len(samples) - 1)
+        late, early = samples[after], samples[max(after - 1, 0)]
+        span_s = late.time_s - early.time_s
+        part = min(max((time_s - early.time_s) / span_s, 0.0), 1.0) if span_s > 0.0 else 1.0
+        counts = (1.0 - part) * np.array(early.counts) + part * np.array(late.counts)
+        return np.asarray(counts / self._config.counts_per_rad, dtype=np.float64)
+
+    def _require_connection(self) -> None:
+        if not self._connected:
+            raise DeviceError("The arm is not connected", "Connect it first")
+
+    def _not_at_target(self, sample: Sample, target: list[int]) -> DeviceError:
+        scale = 180.0 / math.pi / self._config.counts_per_rad
+        errors = [abs(now - wanted) for now, wanted in zip(sample.counts, target, strict=True)]
+        worst = max(range(self._joints), key=errors.__getitem__)
+        return DeviceError(
+            f"Joint {worst + 1} is at {sample.counts[worst] * scale:.3f} deg instead of "
+            f"{target[worst] * scale:.3f} deg, window {self._window * scale:.3f} deg",
+            "Check for an obstacle, the payload and the speed, then reset",
+        )
+
+    @staticmethod
+    def _stopped() -> MotionStopped:
+        return MotionStopped(
+            "The arm was stopped on request before its target", "Release the stop when motion is safe again"
+        )
+
+
+def _joints_in_fault(sample: Sample) -> list[int]:
+    return [i for i, word in enumerate(sample.statuswords) if word & _FAULT_BIT]

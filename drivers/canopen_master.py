@@ -1,0 +1,376 @@
+"""The CANopen master of one arm: SYNC, heartbeats, samples and the watch over the nodes.
+
+Everything that is received passes through `_pump`. In the cell a keeper thread pumps while the driver
+is not asked for anything, so that drives see SYNC and heartbeat; in the deterministic cell nothing runs
+while nobody waits, and the keeper is not started.
+"""
+
+import contextlib
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+from drivers import canopen_arm_codec as codec
+from drivers.canopen_sdo import SdoPort
+from drivers.clock import Clock
+from drivers.links import CanLink
+from estimation.errors import DeviceError, DeviceTimeout
+
+HEARTBEAT_PERIOD_S: Final = 0.1
+HEARTBEAT_TIMEOUT_S: Final = 2.5 * HEARTBEAT_PERIOD_S
+MOST_MISSED_SYNCS: Final = 3
+MOST_DOUBLE_ANSWERS: Final = 10  # in DOUBLE_WINDOW SYNCs; a few are a link that repeats frames
+DOUBLE_WINDOW: Final = 50
+KEEPER_SLICE_S: Final = 0.005
+DRAIN_LIMIT_S: Final = 0.5
+
+
+class Sample(NamedTuple):
+    """What all joints answered to one SYNC."""
+
+    number: int  # of the SYNC
+    time_s: float  # when the SYNC was sent
+    all_set: int  # statuswords, and
+    any_set: int  # statuswords, or
+    statuswords: tuple[int, ...]
+    counts: tuple[int, ...]
+
+
+class CanopenMaster:
+    """One bus with one node per joint; only `interrupt` may be called from other threads."""
+
+    def __init__(
+        self,
+        link: CanLink,
+        clock: Clock,
+        node_ids: Sequence[int],
+        *,
+        sync_period_s: float,
+        sdo_timeout_s: float,
+        master_id: int,
+        on_fault: Callable[[], None],
+    ) -> None:
+        self._link, self._clock, self._on_fault = link, clock, on_fault
+        self.node_ids = tuple(node_ids)
+        self._period_s, self._heartbeat_id = sync_period_s, codec.HEARTBEAT + master_id
+        self.sdo = SdoPort(link, node_ids, self._pump_for_sdo, sdo_timeout_s)
+        self._tpdo = {codec.TPDO[0] + node: i for i, node in enumerate(self.node_ids)}
+        self._emcy = {codec.EMCY + node: i for i, node in enumerate(self.node_ids)}
+        self._heartbeats = {codec.HEARTBEAT + node: i for i, node in enumerate(self.node_ids)}
+        self._full = (1 << len(self.node_ids)) - 1
+        self.samples: deque[Sample] = deque(maxlen=256)
+        self.frames = self.bad_frames = self.timeouts = 0
+        self._lock = threading.RLock()
+        self._waiting = 0
+        self._waiting_lock = threading.Lock()
+        self._idle = threading.Event()
+        self._idle.set()
+        self._closing = threading.Event()
+        self._keeper: threading.Thread | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the nodes: after the link was opened."""
+        joints = len(self.node_ids)
+        self._status, self._counts = [0] * joints, [0] * joints
+        self._nmt_state = [-1] * joints
+        self._heard_s = [math.inf] * joints
+        self._answered, self._awaiting, self._interrupted = 0, False, 0
+        self._sync_number, self._sync_s, self._next_sync_s = 0, 0.0, math.inf
+        self._next_heartbeat_s = math.inf
+        self._missed = self._doubled = 0
+        self.samples.clear()
+        self.emergencies: list[tuple[int, codec.Emergency]] = []
+        self._fault: DeviceError | None = None
+
+    # --- the driver's thread -------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def foreground(self) -> Iterator[None]:
+        """Exclusive use of the bus; the keeper stands back as long as anyone wants it."""
+        with self._waiting_lock:
+            self._waiting += 1
+            self._idle.clear()
+        try:
+            with self._lock:
+                yield
+        finally:
+            with self._waiting_lock:
+                self._waiting -= 1
+                if not self._waiting:
+                    self._idle.set()
+
+    def start_nodes(self, timeout_s: float = 1.0) -> None:
+        """NMT start, SYNC and heartbeat; returns when every node has reported that it is operational."""
+
+        def settled() -> bool:
+            return self._fault is not None or all(s == codec.OPERATIONAL for s in self._nmt_state)
+
+        self._nmt_state = [-1] * len(self.node_ids)
+        self.sdo.send_nmt(codec.NMT_START)
+        self._pump(self._clock.now_s() + timeout_s, settled)
+        self.check()
+        if not settled():
+            late = [i for i, state in enumerate(self._nmt_state) if state != codec.OPERATIONAL]
+            raise DeviceTimeout(
+                f"{self.name(late)}: no operational heartbeat within {timeout_s:g} s after the start",
+                "Check power and CAN wiring of this joint, then reset",
+            )
+        now = self._clock.now_s()
+        self._heard_s = [now] * len(self.node_ids)
+        self._next_sync_s = self._next_heartbeat_s = now
+
+    def next_sample(self, timeout_s: float = 0.5, *, in_fault: bool = False) -> Sample:
+        """All joints at the first SYNC that is sent after this call.
+
+        Raises the latched fault unless `in_fault`, and DeviceTimeout.
+        """
+        with self.foreground():
+            asked, deadline_s = self._sync_number, self._clock.now_s() + timeout_s
+            while True:
+                if not in_fault:
+                    self.check()
+                if self.samples and self.samples[-1].number > asked:
+                    return self.samples[-1]
+                if self._clock.now_s() >= deadline_s:
+                    raise DeviceTimeout(
+                        f"No complete answer to SYNC within {timeout_s:g} s", "Check the CAN wiring"
+                    )
+                self._pump(deadline_s)
+
+    def hurry(self) -> None:
+        """Let the next SYNC leave as soon as the answers to the last one are in."""
+        with self.foreground():
+            if self._awaiting:
+                self._pump(self._clock.now_s() + self._period_s / 2)
+            self._next_sync_s = self._clock.now_s()
+
+    def service(self) -> None:
+        """Take what has arrived and send what is due, without waiting. Raises the latched fault."""
+        with self.foreground():
+            self._pump(self._clock.now_s())
+            self.check()
+
+    def check(self) -> None:
+        """Raise what went wrong since the nodes were started."""
+        if self._fault is not None:
+            raise type(self._fault)(self._fault.problem, self._fault.remedy)
+
+    def interrupt(self) -> None:
+        """One SYNC out of turn, so that a stop acts at once; safe from any thread."""
+        self._interrupted = 2  # SYNCs whose answers cannot be told from those to this one
+        self._link.send(codec.SYNC, b"")
+
+    def name(self, joints: Sequence[int]) -> str:
+        """The joints in words."""
+        return ", ".join(f"joint {i + 1} (node {self.node_ids[i]})" for i in joints).capitalize()
+
+    def stop_sync(self) -> None:
+        """End SYNC, heartbeat and the watch over the nodes."""
+        self._next_sync_s = self._next_heartbeat_s = math.inf
+        self._heard_s = [math.inf] * len(self.node_ids)
+
+    # --- the keeper ----------------------------------------------------------------------------------
+
+    def start_keeper(self) -> None:
+        """Pump in the background from now on."""
+        self._closing.clear()
+        self._keeper = threading.Thread(target=self._keep, name="canopen-keeper", daemon=True)
+        self._keeper.start()
+
+    def stop_keeper(self) -> None:
+        """End the background thread; safe twice."""
+        self._closing.set()
+        if self._keeper is not None:
+            self._keeper.join()
+            self._keeper = None
+
+    def _keep(self) -> None:
+        while not self._closing.is_set():
+            self._idle.wait(self._period_s)
+            if self._waiting or not self._lock.acquire(timeout=self._period_s):
+                continue
+            try:
+                self._pump(self._clock.now_s() + KEEPER_SLICE_S)
+            except DeviceError as error:
+                self._latch(error)
+                return
+            except Exception as error:
+                self._latch(DeviceError(f"The CAN keeper ended: {error!r}", "Reset; report it if it recurs"))
+                return
+            finally:
+                self._lock.release()
+
+    # --- receiving -----------------------------------------------------------------------------------
+
+    def _pump_for_sdo(self, timeout_s: float, done: Callable[[], bool]) -> None:
+        deadline_s = self._clock.now_s() + timeout_s
+        while not done() and self._clock.now_s() < deadline_s:
+            self._pump(deadline_s, done)
+
+    def _pump(self, until_s: float, done: Callable[[], bool] | None = None) -> None:
+        """Receive, and send what is due, until `until_s`, a complete sample or `done()`."""
+        receive, now_s = self._link.receive, self._clock.now_s
+        known, fault = len(self.samples) and self.samples[-1].number, self._fault
+        now = now_s()
+        if now > self._next_sync_s + self._period_s:  # nobody pumped: first hear what the nodes said
+            self._drain(now + DRAIN_LIMIT_S)
+            now = self._next_sync_s = now_s()
+        while True:
+            if now >= self._next_sync_s:
+                self._send_sync(now)
+            if self._fault is not fault:
+                return
+            wait_s = min(until_s, self._next_sync_s) - now
+            frame = receive(wait_s if wait_s > 0.0 else 0.0)
+            if frame is not None:
+                self._dispatch(frame.can_id, frame.data, frame.time_s)
+                if len(self.samples) and self.samples[-1].number != known:
+                    return
+                if done is not None and done():
+                    return
+            now = now_s()
+            if now >= until_s and (frame is None or now >= until_s + DRAIN_LIMIT_S):
+                return
+
+    def _drain(self, until_s: float) -> None:
+        self._awaiting = False
+        while (frame := self._link.receive(0.0)) is not None and self._clock.now_s() < until_s:
+            self._dispatch(frame.can_id, frame.data, frame.time_s)
+
+    def _send_sync(self, now: float) -> None:
+        self._watch(now)
+        if now >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now + HEARTBEAT_PERIOD_S - self._period_s / 2
+            self._link.send(self._heartbeat_id, bytes((codec.OPERATIONAL,)))
+        if self._awaiting:
+            # Stay silent for one period: an answer that comes late must not be taken for the next one.
+            self._awaiting = False
+            self._missed += 1
+            self.timeouts += 1
+            if self._missed >= MOST_MISSED_SYNCS:
+                silent = [i for i in range(len(self.node_ids)) if not self._answered >> i & 1]
+                self._latch(
+                    DeviceTimeout(
+                        f"{self.name(silent)}: no answer to {self._missed} SYNCs in a row",
+                        "Check power and CAN wiring of this joint, then reset",
+                    )
+                )
+            self._next_sync_s = now + self._period_s
+            return
+        self._answered, self._awaiting = 0, True
+        if self._interrupted:
+            self._interrupted -= 1
+        self._sync_number += 1
+        if self._sync_number % DOUBLE_WINDOW == 0:
+            self._doubled = 0
+        self._sync_s = now
+        self._next_sync_s += self._period_s
+        if self._next_sync_s <= now:
+            self._next_sync_s = now + self._period_s
+        self._link.send(codec.SYNC, b"")
+
+    def _dispatch(self, can_id: int, data: bytes, time_s: float) -> None:
+        self.frames += 1
+        joint = self._tpdo.get(can_id)
+        if joint is not None:
+            if len(data) != codec.TPDO1.size:
+                self.bad_frames += 1
+            elif self._awaiting:
+                self._status[joint], self._counts[joint] = codec.TPDO1.unpack(data)
+                if self._answered >> joint & 1:
+                    self._count_double(joint)
+                self._answered |= 1 << joint
+                if self._answered == self._full:
+                    self._complete_sample()
+            elif self._answered == self._full:
+                self._count_double(joint)
+        elif (joint := self._heartbeats.get(can_id)) is not None:
+            self._take_heartbeat(joint, data, time_s)
+        elif (joint := self._emcy.get(can_id)) is not None:
+            self._take_emergency(joint, data)
+        elif 0x580 < can_id < 0x600:
+            self.sdo.deliver(can_id, data, time_s)
+
+    def _complete_sample(self) -> None:
+        self._awaiting, self._missed = False, 0
+        if self._interrupted:
+            return
+        all_set, any_set = 0xFFFF, 0
+        for word in self._status:
+            all_set &= word
+            any_set |= word
+        sample = Sample(
+            self._sync_number, self._sync_s, all_set, any_set, tuple(self._status), tuple(self._counts)
+        )
+        self.samples.append(sample)
+
+    def _count_double(self, joint: int) -> None:
+        if self._interrupted:
+            return
+        self._doubled += 1
+        if self._doubled >= MOST_DOUBLE_ANSWERS:
+            self._latch(
+                DeviceError(
+                    f"{self.name([joint])} answers twice to one SYNC: "
+                    f"two nodes use {codec.TPDO[0] + self.node_ids[joint]:03X}h",
+                    "Give every node on the bus its own id",
+                )
+            )
+
+    def _take_heartbeat(self, joint: int, data: bytes, time_s: float) -> None:
+        if len(data) != 1:
+            self.bad_frames += 1
+            return
+        state, running = data[0] & 0x7F, self._heard_s[joint] != math.inf
+        self._nmt_state[joint] = state
+        if not running:
+            return
+        self._heard_s[joint] = time_s
+        if state == codec.BOOT_UP:
+            self._latch(
+                DeviceError(
+                    f"{self.name([joint])} restarted and lost its settings",
+                    "Check its supply, then reset; what was measured since its last heartbeat is not used",
+                )
+            )
+        elif state != codec.OPERATIONAL:
+            self._latch(
+                DeviceError(
+                    f"{self.name([joint])} is {codec.NMT_STATES.get(state, state)} instead of operational",
+                    "Check for a second master on the bus, then reset",
+                )
+            )
+
+    def _take_emergency(self, joint: int, data: bytes) -> None:
+        emergency = codec.parse_emergency(data)
+        if emergency is None:
+            self.bad_frames += 1
+            return
+        self.emergencies.append((joint, emergency))
+        if not emergency.is_reset and self._heard_s[joint] != math.inf:
+            self._latch(
+                DeviceError(
+                    f"{self.name([joint])} reports {emergency.words} (EMCY {emergency.code:04X}h)",
+                    "Remove the cause, then reset",
+                )
+            )
+
+    def _watch(self, now: float) -> None:
+        if now - min(self._heard_s) > HEARTBEAT_TIMEOUT_S:
+            lost = [i for i, heard_s in enumerate(self._heard_s) if now - heard_s > HEARTBEAT_TIMEOUT_S]
+            self.timeouts += len(lost)
+            self._latch(
+                DeviceTimeout(
+                    f"{self.name(lost)} lost: no heartbeat for {HEARTBEAT_TIMEOUT_S:g} s",
+                    "Check power and CAN wiring of this joint, then reset",
+                )
+            )
+
+    def _latch(self, fault: DeviceError) -> None:
+        if self._fault is None:  # the first one names the cause
+            self._fault = fault
+            with contextlib.suppress(DeviceError):
+                self._on_fault()
