@@ -1,0 +1,182 @@
+"""The deterministic cell: virtual time and in-memory links, in one thread.
+
+Nothing runs while nobody waits: a read lets time jump to the device's next output or to its own timeout.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from estimation.errors import DeviceError
+from simulators.arm import Frame, SimulatedArm
+
+EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
+
+
+class VirtualClock:
+    """Time that passes only when somebody waits."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Seconds since the cell was made."""
+        return self._now_s
+
+    def sleep(self, duration_s: float) -> None:
+        """Let `duration_s` pass, at no cost."""
+        self._now_s += max(duration_s, 0.0)
+
+    def utc_s(self) -> float:
+        """A wall time that starts alike in every run."""
+        return EPOCH_UTC_S + self._now_s
+
+    def advance_to(self, time_s: float) -> None:
+        """Let time pass until then, if that is in the future."""
+        self._now_s = max(self._now_s, time_s)
+
+
+@dataclass(slots=True)
+class LinkFaults:
+    """What a test breaks on one link. Times are of the virtual clock."""
+
+    unplugged: bool = False
+    unplug_at_s: float = math.inf  # unplugs itself then, also in the middle of a wait
+    silent_from_s: float = math.inf  # the device hears, its answers are lost
+    silent_until_s: float = math.inf
+    late_s: float = 0.0  # everything the device says comes so much later
+    garbage: list[bytes] = field(default_factory=list)  # each comes before one of the next answers
+    corrupt: int = 0  # so many next answers have one bit flipped
+    piecewise: bool = False  # bytes arrive one at a time
+
+    def silent(self, time_s: float) -> bool:
+        return self.silent_from_s <= time_s < self.silent_until_s
+
+
+class ByteDevice(Protocol):
+    """A simulated device behind a byte stream."""
+
+    def receive(self, data: bytes, time_s: float) -> None:
+        """Bytes from the cell."""
+
+    def next_output_s(self) -> float:
+        """Nothing comes before this, if nothing is sent to the device."""
+
+    def take(self, time_s: float) -> bytes:
+        """All that was sent by then and not yet taken."""
+
+    def discard(self, time_s: float) -> None:
+        """Forget what was sent by then."""
+
+
+class _VirtualLink:
+    """What both kinds of link share: being unplugged, and waiting."""
+
+    def __init__(self, name: str, clock: VirtualClock) -> None:
+        self._name, self._clock = name, clock
+        self.faults = LinkFaults()
+        self.opened = 0  # how often it was reopened
+
+    @property
+    def unplugged(self) -> bool:
+        return self.faults.unplugged
+
+    @unplugged.setter
+    def unplugged(self, value: bool) -> None:
+        self.faults.unplugged = value
+        if not value:
+            self.faults.unplug_at_s = math.inf
+
+    def _check_plugged(self) -> float:
+        now = self._clock.now_s()
+        if now >= self.faults.unplug_at_s:
+            self.faults.unplugged = True
+        if self.faults.unplugged:
+            raise DeviceError(f"Port {self._name} is gone", "Check the cable and the power of the device")
+        return now
+
+    def _wait(self, output_s: float, deadline_s: float) -> bool:
+        """Let time pass to the output or the deadline; True if the output is there."""
+        until = min(output_s + self.faults.late_s, deadline_s, self.faults.unplug_at_s)
+        self._clock.advance_to(until)
+        self._check_plugged()
+        return output_s + self.faults.late_s <= self._clock.now_s()
+
+    def reopen(self) -> None:
+        self._check_plugged()
+        self.opened += 1
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class VirtualCanLink(_VirtualLink):
+    """A CanLink onto the simulated arm."""
+
+    def __init__(self, name: str, clock: VirtualClock, arm: SimulatedArm) -> None:
+        super().__init__(name, clock)
+        self._arm = arm
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self._arm.receive(can_id, data, self._check_plugged())
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        clock, arm, faults = self._clock, self._arm, self.faults
+        deadline_s = self._check_plugged() + timeout_s
+        while True:
+            output_s = arm.next_output_s()
+            if not self._wait(output_s, deadline_s):
+                return None
+            frame = arm.take(max(clock.now_s() - faults.late_s, output_s))
+            if frame is None or faults.silent(frame.time_s):
+                continue  # something happened inside the arm, or its answer is lost
+            return frame if not faults.late_s else frame._replace(time_s=clock.now_s())
+
+    def reopen(self) -> None:
+        super().reopen()
+        while self._arm.take(self._clock.now_s()) is not None:
+            pass
+
+
+class VirtualByteLink(_VirtualLink):
+    """A ByteLink onto a simulated device."""
+
+    def __init__(self, name: str, clock: VirtualClock, device: ByteDevice) -> None:
+        super().__init__(name, clock)
+        self._device = device
+        self._rest = b""
+
+    def write(self, data: bytes) -> None:
+        self._device.receive(data, self._check_plugged())
+
+    def read(self, timeout_s: float) -> bytes:
+        deadline_s = self._check_plugged() + timeout_s
+        while not self._rest:
+            output_s = self._device.next_output_s()
+            if not self._wait(output_s, deadline_s):
+                return b""
+            data = self._device.take(max(self._clock.now_s() - self.faults.late_s, output_s))
+            self._rest = self._spoiled(data)
+        if not self.faults.piecewise:
+            data, self._rest = self._rest, b""
+        else:
+            data, self._rest = self._rest[:1], self._rest[1:]
+        return data
+
+    def _spoiled(self, data: bytes) -> bytes:
+        faults = self.faults
+        if not data or faults.silent(self._clock.now_s()):
+            return b""
+        if faults.corrupt:
+            faults.corrupt -= 1
+            middle = len(data) // 2
+            data = data[:middle] + bytes([data[middle] ^ 0x10]) + data[middle + 1 :]
+        return faults.garbage.pop(0) + data if faults.garbage else data
+
+    def discard_input(self) -> None:
+        self._device.discard(self._check_plugged() - self.faults.late_s)
+        self._rest = b""
+
+    def reopen(self) -> None:
+        super().reopen()
+        self.discard_input()
