@@ -9,7 +9,7 @@ import contextlib
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from drivers import canopen_arm_codec as codec
@@ -38,6 +38,30 @@ class Sample(NamedTuple):
     counts: tuple[int, ...]
 
 
+class _Foreground:
+    """A re-entrant lock with a right of way: `wanted` tells the keeper to stand back."""
+
+    def __init__(self) -> None:
+        self.lock, self.wanted = threading.RLock(), 0
+        self.idle = threading.Event()
+        self.idle.set()
+        self._count_lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        if not self.lock.acquire(blocking=False):
+            with self._count_lock:
+                self.wanted += 1
+                self.idle.clear()
+            self.lock.acquire()
+            with self._count_lock:
+                self.wanted -= 1
+                if not self.wanted:
+                    self.idle.set()
+
+    def __exit__(self, *error: object) -> None:
+        self.lock.release()
+
+
 class CanopenMaster:
     """One bus with one node per joint; only `interrupt` may be called from other threads."""
 
@@ -62,11 +86,7 @@ class CanopenMaster:
         self._full = (1 << len(self.node_ids)) - 1
         self.samples: deque[Sample] = deque(maxlen=256)
         self.frames = self.bad_frames = self.timeouts = 0
-        self._lock = threading.RLock()
-        self._waiting = 0
-        self._waiting_lock = threading.Lock()
-        self._idle = threading.Event()
-        self._idle.set()
+        self._foreground = _Foreground()
         self._closing = threading.Event()
         self._keeper: threading.Thread | None = None
         self.reset()
@@ -82,25 +102,15 @@ class CanopenMaster:
         self._next_heartbeat_s = math.inf
         self._missed = self._doubled = 0
         self.samples.clear()
+        self._news = 0  # complete samples and faults, for those who wait for either
         self.emergencies: list[tuple[int, codec.Emergency]] = []
         self._fault: DeviceError | None = None
 
     # --- the driver's thread -------------------------------------------------------------------------
 
-    @contextlib.contextmanager
-    def foreground(self) -> Iterator[None]:
+    def foreground(self) -> "_Foreground":
         """Exclusive use of the bus; the keeper stands back as long as anyone wants it."""
-        with self._waiting_lock:
-            self._waiting += 1
-            self._idle.clear()
-        try:
-            with self._lock:
-                yield
-        finally:
-            with self._waiting_lock:
-                self._waiting -= 1
-                if not self._waiting:
-                    self._idle.set()
+        return self._foreground
 
     def start_nodes(self, timeout_s: float = 1.0) -> None:
         """NMT start, SYNC and heartbeat; returns when every node has reported that it is operational."""
@@ -189,8 +199,8 @@ class CanopenMaster:
 
     def _keep(self) -> None:
         while not self._closing.is_set():
-            self._idle.wait(self._period_s)
-            if self._waiting or not self._lock.acquire(timeout=self._period_s):
+            self._foreground.idle.wait(self._period_s)
+            if self._foreground.wanted or not self._foreground.lock.acquire(timeout=self._period_s):
                 continue
             try:
                 self._pump(self._clock.now_s() + KEEPER_SLICE_S)
@@ -201,7 +211,7 @@ class CanopenMaster:
                 self._latch(DeviceError(f"The CAN keeper ended: {error!r}", "Reset; report it if it recurs"))
                 return
             finally:
-                self._lock.release()
+                self._foreground.lock.release()
 
     # --- receiving -----------------------------------------------------------------------------------
 
@@ -212,8 +222,8 @@ class CanopenMaster:
 
     def _pump(self, until_s: float, done: Callable[[], bool] | None = None) -> None:
         """Receive, and send what is due, until `until_s`, a complete sample or `done()`."""
-        receive, now_s = self._link.receive, self._clock.now_s
-        known, fault = len(self.samples) and self.samples[-1].number, self._fault
+        receive, now_s, dispatch = self._link.receive, self._clock.now_s, self._dispatch
+        news = self._news
         now = now_s()
         if now > self._next_sync_s + self._period_s:  # nobody pumped: first hear what the nodes said
             self._drain(now + DRAIN_LIMIT_S)
@@ -221,18 +231,19 @@ class CanopenMaster:
         while True:
             if now >= self._next_sync_s:
                 self._send_sync(now)
-            if self._fault is not fault:
+            if self._news != news:
                 return
-            wait_s = min(until_s, self._next_sync_s) - now
-            frame = receive(wait_s if wait_s > 0.0 else 0.0)
-            if frame is not None:
-                self._dispatch(frame.can_id, frame.data, frame.time_s)
-                if len(self.samples) and self.samples[-1].number != known:
-                    return
-                if done is not None and done():
-                    return
+            limit_s = self._next_sync_s
+            if until_s < limit_s:
+                limit_s = until_s
+            frame = receive(limit_s - now if limit_s > now else 0.0)
             now = now_s()
-            if now >= until_s and (frame is None or now >= until_s + DRAIN_LIMIT_S):
+            if frame is None:
+                if now >= until_s:
+                    return
+                continue
+            dispatch(frame.can_id, frame.data, frame.time_s)
+            if self._news != news or (done is not None and done()) or now >= until_s + DRAIN_LIMIT_S:
                 return
 
     def _drain(self, until_s: float) -> None:
@@ -302,10 +313,9 @@ class CanopenMaster:
         for word in self._status:
             all_set &= word
             any_set |= word
-        sample = Sample(
-            self._sync_number, self._sync_s, all_set, any_set, tuple(self._status), tuple(self._counts)
-        )
-        self.samples.append(sample)
+        status, counts = tuple(self._status), tuple(self._counts)
+        self.samples.append(Sample(self._sync_number, self._sync_s, all_set, any_set, status, counts))
+        self._news += 1
 
     def _count_double(self, joint: int) -> None:
         if self._interrupted:
@@ -372,5 +382,6 @@ class CanopenMaster:
     def _latch(self, fault: DeviceError) -> None:
         if self._fault is None:  # the first one names the cause
             self._fault = fault
+            self._news += 1
             with contextlib.suppress(DeviceError):
                 self._on_fault()
