@@ -23,7 +23,9 @@ _LARGEST_ITERATIONS: Final = 50
 _REWEIGHTINGS: Final = 4  # passes with the noise variance taken at the latest estimate
 _ROBUST_PASSES: Final = 12
 _SMALLEST_VARIANCE: Final = 1e-30  # m^2: a row without any noise has no finite weight
-_ROUNDING: Final = 1e-13
+_ROUNDING: Final = 1e-14  # of the cost
+_ROUNDING_M: Final = 1e-15  # of a residual, coordinates being of the size of a metre
+_POLISHING_STEPS: Final = 3
 _LARGEST_DAMPING: Final = 1e12
 _NEAR_START: Final = "Check that the nominal poses in the cell file are near the real ones, and the readings"
 
@@ -211,7 +213,7 @@ def _solve(
     rows, jacobian = problem.evaluate(z)
     residual = weight * rows.residual_m
     cost = float(residual @ residual + z @ z)
-    costs, damping, growth, last_step, at_floor = [cost], 0.0, 2.0, np.inf, False
+    costs, damping, growth, last_step, polished = [cost], 0.0, 2.0, np.inf, 0
     for _ in range(_LARGEST_ITERATIONS):
         whitened = weight[:, None] * jacobian
         normal = whitened.T @ whitened + np.eye(len(z))
@@ -221,10 +223,12 @@ def _solve(
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
             return z, rows, tuple(costs), "step and gradient small"
-        if at_floor:
+        if polished >= _POLISHING_STEPS:
             return z, rows, tuple(costs), "cost at its rounding"
-        # Below the rounding of the cost a step can no longer prove that it helps: take one more, and stop.
-        at_floor = expected <= _ROUNDING * cost
+        # Below the rounding of the cost no step can prove that it helps: take a few in good faith.
+        rounding = _ROUNDING_M * float(np.linalg.norm(residual * weight)) + _ROUNDING * cost
+        at_floor = expected <= rounding
+        polished += at_floor
         while True:
             scaled = normal + damping * np.diag(np.diag(normal))
             step = newton if damping == 0.0 or at_floor else cho_solve(cho_factor(scaled), -gradient)

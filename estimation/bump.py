@@ -1,0 +1,152 @@
+"""Has the laser moved since it was calibrated? A five-parameter test on measurements that no fit has used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi_square
+from scipy.stats import ncx2
+
+from estimation.belief import Belief
+from estimation.errors import EstimationError
+from estimation.kinematics import ArmModel
+from estimation.measurement import Observations
+from estimation.solver import update
+from estimation.transform import FloatArray, Transform
+
+FREEDOMS: Final = ("tx", "ty", "tz", "rx", "ry")  # turning about the beam changes no reading
+# So wide that the prior of the bump decides nothing, and still narrow enough to converge.
+PRIOR_U_M: Final = 0.02
+PRIOR_U_RAD: Final = 0.1
+_ONE_AXIS: Final = 0.9  # share of the length along one axis from which that axis is named alone
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BumpTest:
+    """Outcome of the test, for a gate and for people.
+
+    Attributes
+    ----------
+    statistic, limit, p_value : likelihood ratio of "the laser moved" over "it did not": chi-square with five
+        degrees of freedom for an honest cell, and its limit at the level of the test.
+    chi2, dof, chi2_limit : what is left with the bump free; a fault that is no bump shows here. Independent
+        of `statistic`, same level.
+    bump, covariance : (5,) right perturbation of flange_T_laser, tx ty tz (m) rx ry (rad), and (5, 5).
+    words : the finding in one sentence part.
+    """
+
+    statistic: float
+    limit: float
+    p_value: float
+    level: float
+    chi2: float
+    dof: int
+    chi2_limit: float
+    bump: FloatArray
+    covariance: FloatArray
+    words: str
+
+    @property
+    def passed(self) -> bool:
+        """The laser stands where it was calibrated, as far as these measurements can tell."""
+        return self.statistic <= self.limit
+
+    @property
+    def consistent(self) -> bool:
+        """Apart from a bump, the measurements are as uncertain as declared."""
+        return self.chi2 <= self.chi2_limit
+
+    def detection_probability(self, bump: FloatArray) -> float:
+        """Probability that this test, with these measurements, would have caught a bump (5,) (m, rad)."""
+        return detection_probability(self.covariance, bump, self.level)
+
+
+def bump_test(
+    belief: Belief, arm: ArmModel, observations: Sequence[Observations], level: float = 0.005
+) -> BumpTest:
+    """Test measurements, new to the belief, for a movement of the laser in its mount.
+
+    Parameters
+    ----------
+    belief : from before the measurements, with the blocks of the reference objects. It stays as it is.
+    observations : laser batches on references; references that the calibration used catch drift, others
+        absolute errors.
+    level : probability that an honest cell fails.
+
+    Raises
+    ------
+    EstimationError
+        Fewer than six measurements, or no convergence.
+
+    Notes
+    -----
+    Both hypotheses are full joint estimates, so that the test uses the covariance H P H^T + Q of the
+    measurements with everything that the belief is uncertain of (ESTIMATION.md sections 4 and 12).
+    """
+    rows = sum(len(batch) for batch in observations)
+    if rows <= len(FREEDOMS):
+        raise EstimationError(
+            f"Bump test with {rows} measurements", f"Measure at least {len(FREEDOMS) + 1}, better 20"
+        )
+    still = update(belief, arm, observations)
+    nothing = Transform("laser", "laser", np.eye(4))
+    prior_u = [PRIOR_U_M] * 3 + [PRIOR_U_RAD] * 2
+    moved = update(belief.with_block("bump", nothing, std=prior_u, freedoms=FREEDOMS), arm, observations)
+    pose = moved.belief.transform("bump")
+    bump = _perturbation(pose)
+    covariance = moved.belief.block_covariance("bump")
+    statistic = max(still.chi2 - moved.chi2, 0.0)  # rounding may take it below zero
+    limit = float(chi_square.isf(level, len(FREEDOMS)))
+    dof = rows - len(FREEDOMS)
+    return BumpTest(
+        statistic=statistic,
+        limit=limit,
+        p_value=float(chi_square.sf(statistic, len(FREEDOMS))),
+        level=level,
+        chi2=moved.chi2,
+        dof=dof,
+        chi2_limit=float(chi_square.isf(level, dof)),
+        bump=bump,
+        covariance=covariance,
+        words=_words(bump, covariance, statistic <= limit, level),
+    )
+
+
+def detection_probability(covariance: FloatArray, bump: FloatArray, level: float) -> float:
+    """Probability that a test at `level` catches a bump (5,), from the covariance (5, 5) of its estimate."""
+    distance2 = float(bump @ np.linalg.solve(covariance, bump))
+    return float(ncx2.sf(chi_square.isf(level, len(bump)), len(bump), distance2))
+
+
+def _perturbation(pose: Transform) -> FloatArray:
+    rotation = Rotation.from_matrix(pose.rotation).as_rotvec()
+    return np.concatenate([pose.origin_m, rotation[:2]])
+
+
+def _words(bump: FloatArray, covariance: FloatArray, passed: bool, level: float) -> str:
+    shift = f"{np.linalg.norm(bump[:3]) * 1e3:.2f} mm"
+    turn = f"{np.degrees(np.linalg.norm(bump[3:])):.3f} deg"
+    if passed:
+        return f"no movement of the laser beyond its uncertainty (estimate {shift}, {turn})"
+    parts = []
+    if _significant(bump[:3], covariance[:3, :3], level):
+        parts.append(f"moved by {shift} {_axes('along', bump[:3] * 1e3, '.2f')}")
+    if _significant(bump[3:], covariance[3:, 3:], level):
+        parts.append(f"turned by {turn} {_axes('about', np.degrees(bump[3:]), '.3f')}")
+    # A movement and a turn may hide behind each other, and be certain only together.
+    return "laser " + (" and ".join(parts) or f"moved by {shift} or turned by {turn}")
+
+
+def _significant(part: FloatArray, covariance: FloatArray, level: float) -> bool:
+    return bool(part @ np.linalg.solve(covariance, part) > chi_square.isf(level, len(part)))
+
+
+def _axes(preposition: str, part: FloatArray, digits: str) -> str:
+    share = np.abs(part) / np.linalg.norm(part)
+    main = int(np.argmax(share))
+    if share[main] >= _ONE_AXIS:
+        return f"{preposition} its {'-' if part[main] < 0 else ''}{'xyz'[main]}"
+    listed = ", ".join(f"{axis} {value:{digits}}" for axis, value in zip("xyz", part, strict=False))
+    return f"{preposition} its axes ({listed})"
