@@ -1,1 +1,23 @@
 """Planning: which measurements to take, so that the gated quantity becomes known well enough."""
+
+from controller.planning.estimated import (
+    more_hand_eye,
+    more_localize,
+    plan_coarse_localize,
+    plan_hand_eye,
+    plan_localize,
+    plan_part_check,
+)
+from controller.planning.plan import Plan
+from controller.planning.steps import Step
+
+__all__ = [
+    "Plan",
+    "Step",
+    "more_hand_eye",
+    "more_localize",
+    "plan_coarse_localize",
+    "plan_hand_eye",
+    "plan_localize",
+    "plan_part_check",
+]

@@ -1,0 +1,159 @@
+"""Candidate measurements: where a beam can meet a surface in range, at a fair angle, clear of everything."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from controller.planning.faces import FaceSampler, beams_meet
+from controller.planning.poses import beam_poses, choose_joints, directions_around
+from controller.planning.workspace import SIGMAS, Candidates, Workspace, features_of, rows_of
+from estimation.surfaces import Feature
+from estimation.transform import FloatArray
+
+MOST_TILT_RAD: Final = np.radians(28.0)  # more gains little, and the beam's spot grows
+INCIDENCE_MARGIN_RAD: Final = np.radians(3.0)  # the mount may be turned by as much
+EDGE_MARGIN_M: Final = 0.004
+DRAWS: Final = 2000  # before reach, clearance and range are looked at
+
+
+def plate_candidates(workspace: Workspace, seed: int, draws: int = DRAWS) -> Candidates:
+    """Beams onto the plate: points within the margin, all tilts and spins, over the whole working range."""
+    random = np.random.default_rng([seed, 1])
+    plate = workspace.cell.plate
+    # x and y of the plate are not estimated, so its declared place and the mount's decide what is on it
+    off_m = SIGMAS * float(np.hypot(plate.position_u_m, mount_offset_m(workspace)))
+    half = np.array(plate.size_m) / 2 - plate.margin_m - off_m
+    points = np.zeros((draws, 3))
+    points[:, :2] = random.uniform(-1.0, 1.0, (draws, 2)) * np.maximum(half, 0.0)
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (draws, 3))
+    return _aimed(
+        workspace,
+        "plate",
+        features_of(workspace, "plate"),
+        np.zeros(draws, dtype=np.intp),
+        points,
+        normals,
+        random,
+    )
+
+
+def part_candidates(
+    workspace: Workspace,
+    faces: Sequence[str],
+    seed: int,
+    draws: int = DRAWS,
+    margin_m: float = EDGE_MARGIN_M,
+) -> Candidates:
+    """Beams onto plane faces of the part: `margin_m` inside their edges, however the part may lie."""
+    random = np.random.default_rng([seed, 2])
+    features = features_of(workspace, "part")
+    place = {feature.name: i for i, feature in enumerate(features)}
+    each = draws // len(faces)
+    points, normals, index = [], [], []
+    for name in faces:
+        sampler = FaceSampler.of(workspace.cell, name)
+        inside = sampler.draw(random, each, margin_m)
+        points.append(inside)
+        normals.append(np.broadcast_to(sampler.normal, inside.shape))
+        index.append(np.full(len(inside), place[name], dtype=np.intp))
+    return _aimed(
+        workspace,
+        "part",
+        features,
+        np.concatenate(index),
+        np.concatenate(points),
+        np.concatenate(normals),
+        random,
+    )
+
+
+def mount_offset_m(workspace: Workspace) -> float:
+    """Standard uncertainty of the beam's place on a surface, across the beam."""
+    if "laser" not in workspace.belief:
+        return 0.0
+    covariance = workspace.belief.block_covariance("laser")
+    far_m = workspace.cell.laser.working_range_m[1]
+    across = covariance[:2, :2] + far_m**2 * covariance[3:5, 3:5]
+    return float(np.sqrt(np.linalg.eigvalsh(across)[-1]))
+
+
+def occluded(
+    workspace: Workspace, candidates: Candidates, displacements: Sequence[FloatArray] = ()
+) -> FloatArray:
+    """Which candidates (m,) fail a ray check against the part: another face is met first, or none in range.
+
+    Each displacement (4, 4) is one part_T_displaced that must work as well as the believed place.
+    """
+    laser, base_T_part = workspace.pose("laser"), workspace.pose("part")
+    base_T_laser = workspace.actual_arm.flange_pose(candidates.joints_rad) @ laser.matrix
+    names = [candidates.features[int(i)].name for i in candidates.feature_index]
+    failed = np.zeros(len(candidates), dtype=np.bool_)
+    for displacement in (np.eye(4), *displacements):
+        part_T_laser = np.linalg.inv(base_T_part.matrix @ displacement) @ base_T_laser
+        met = beams_meet(workspace.cell, part_T_laser[:, :3, 3], part_T_laser[:, :3, 2], names)
+        failed |= ~(met.on_face & met.within(workspace.cell.laser))
+    return failed
+
+
+def aimed_beams(
+    workspace: Workspace,
+    base_p: FloatArray,
+    base_beam: FloatArray,
+    spin_rad: FloatArray,
+    distance_m: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Joints (m, 6) for beams through points, and which (m,) can be taken clear of everything."""
+    flange = beam_poses(base_p, base_beam, spin_rad, distance_m, workspace.pose("laser").matrix)
+    joints, found = choose_joints(workspace.arm, flange, workspace.start_rad)
+    found[found] = workspace.keepout.clear(joints[found])
+    return joints, found
+
+
+def _aimed(
+    workspace: Workspace,
+    name: str,
+    features: tuple[Feature, ...],
+    index: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    random: np.random.Generator,
+) -> Candidates:
+    laser, count = workspace.cell.laser, len(points)
+    steepest = min(MOST_TILT_RAD, laser.max_incidence_rad - INCIDENCE_MARGIN_RAD)
+    # Half of the draws at the steepest tilt: what decides the hand-eye is the spread of orientations.
+    tilt = steepest * np.minimum(1.0, 2.0 * np.sqrt(random.uniform(0.0, 1.0, count)))
+    azimuth, spin = random.uniform(-np.pi, np.pi, (2, count))
+    distance = random.uniform(*laser.working_range_m, count)
+    pose = workspace.pose(name)
+    beam = pose.vectors(-directions_around(normals, tilt, azimuth))
+    joints, found = aimed_beams(workspace, pose.points(points), beam, spin, distance)
+    drawn = Candidates("laser", name, features, joints, distance, index, points).take(np.flatnonzero(found))
+    return in_range(workspace, drawn)
+
+
+def in_range(workspace: Workspace, candidates: Candidates) -> Candidates:
+    """Those whose reading stays in the working range for all that is uncertain; readings as now expected."""
+    if not len(candidates):
+        return candidates
+    rows = rows_of(workspace, candidates)
+    laser = workspace.cell.laser
+    variance = laser.noise_m**2 + laser.reading_noise_m**2 / 100
+    slope = np.sqrt(np.maximum(rows.noise["range noise"] / variance, 1e-6))  # cosine of the incidence
+    dense = rows.dense(workspace.belief)
+    spread = (
+        np.sqrt(np.einsum("mi,ij,mj->m", dense, workspace.belief.covariance, dense, optimize=True)) / slope
+    )
+    reading = candidates.reading_m + rows.residual_m / slope
+    low, high = laser.working_range_m
+    inside = (reading - SIGMAS * spread > low) & (reading + SIGMAS * spread < high)
+    expected = Candidates(
+        candidates.sensor,
+        candidates.object,
+        candidates.features,
+        candidates.joints_rad,
+        reading,
+        candidates.feature_index,
+        candidates.object_p_m,
+    )
+    return expected.take(np.flatnonzero(inside))

@@ -1,0 +1,126 @@
+"""Faces of the part for planning: points well inside them, and rays that meet them first."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from controller.cellfile import Cell
+from controller.cellfile.devices import Laser
+from controller.knowledge import cache_dir, part_faces
+from controller.planning.poses import BoolArray
+from estimation.cad import CadFace, read_step_faces
+from estimation.errors import EstimationError
+from estimation.transform import FloatArray
+
+_KEY_M: Final = 1e-7  # corners nearer than this are one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceSampler:
+    """A plane face: its triangles and its edges, outer and of its holes."""
+
+    name: str
+    normal: FloatArray  # (3,) outwards
+    triangles: FloatArray  # (k, 3, 3)
+    edges: FloatArray  # (e, 2, 3)
+
+    @staticmethod
+    def of(cell: Cell, name: str) -> "FaceSampler":
+        """The sampler of a named face; kept while the same part is planned for."""
+        return _sampler(name, part_faces(cell)[name])
+
+    def draw(self, random: np.random.Generator, count: int, margin_m: float) -> FloatArray:
+        """Up to `count` points (k, 3) evenly over the face, farther than `margin_m` from its edges.
+
+        Raises EstimationError when the face has no such points.
+        """
+        first, second, third = np.moveaxis(self.triangles, 1, 0)
+        areas = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        tried = 4 * count
+        chosen = random.choice(len(areas), size=tried, p=areas / areas.sum())
+        u, v = random.uniform(0.0, 1.0, (2, tried, 1))
+        flip = u + v > 1.0
+        u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
+        points = first[chosen] + u * (second - first)[chosen] + v * (third - first)[chosen]
+        inside = points[self.edge_distance(points) > margin_m][:count]
+        if not len(inside):
+            raise EstimationError(
+                f"Face {self.name} has no point farther than {margin_m * 1e3:.1f} mm from its edges",
+                "Leave it out of the faces, or place the part more precisely",
+            )
+        return inside
+
+    def edge_distance(self, points: FloatArray) -> FloatArray:
+        """Distance (m,) of points to the nearest edge."""
+        start, along = self.edges[:, 0], self.edges[:, 1] - self.edges[:, 0]
+        offset = points[:, None] - start
+        share = np.clip(np.einsum("mek,ek->me", offset, along) / (along**2).sum(axis=1), 0.0, 1.0)
+        nearest: FloatArray = np.linalg.norm(offset - share[..., None] * along, axis=2).min(axis=1)
+        return nearest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Met:
+    """What beams meet first."""
+
+    on_face: BoolArray  # (m,) the face that was meant
+    distance_m: FloatArray  # (m,) inf where nothing is met
+    cosine: FloatArray  # (m,) of the incidence
+
+    def within(self, laser: Laser) -> BoolArray:
+        """In the working range, at an incidence that the sensor stands."""
+        low, high = laser.working_range_m
+        fair = self.cosine > np.cos(laser.max_incidence_rad)
+        return (self.distance_m > low) & (self.distance_m < high) & fair
+
+
+def beams_meet(cell: Cell, part_o: FloatArray, part_beam: FloatArray, names: list[str]) -> Met:
+    """Rays from points (m, 3) along unit vectors (m, 3), all in the frame of the part, against all its faces."""
+    named = part_faces(cell)
+    corners, face_index = _mesh(cell.cad_path, next(iter(named.values())))
+    wanted = np.array([named[name].index for name in names])
+    first, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, two)
+    # Moeller and Trumbore, with the determinant from the normal: rays (m, 1, 3) against triangles (t, 3)
+    offset = part_o[:, None] - first
+    determinant = -part_beam @ normal.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.einsum("mtk,tk->mt", offset, normal) / determinant
+        turned = np.cross(offset, part_beam[:, None])
+        u = np.einsum("mtk,tk->mt", turned, two) / determinant
+        v = -np.einsum("mtk,tk->mt", turned, one) / determinant
+        hit = (distance > 0.0) & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+    distance = np.where(hit, distance, np.inf)
+    nearest = np.argmin(distance, axis=1)
+    rows = np.arange(len(part_o))
+    cosine = np.abs(determinant[rows, nearest]) / np.linalg.norm(normal[nearest], axis=1)
+    return Met(
+        np.isfinite(distance[rows, nearest]) & (face_index[nearest] == wanted),
+        distance[rows, nearest],
+        cosine,
+    )
+
+
+@lru_cache(maxsize=64)
+def _sampler(name: str, face: CadFace) -> FaceSampler:
+    if face.kind != "plane":
+        raise EstimationError(f"Feature {name} is a {face.kind}", "Localize the part from plane faces")
+    sides = np.stack([face.triangles, np.roll(face.triangles, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    keys = np.round(sides / _KEY_M).astype(np.int64)
+    swap = [tuple(a) > tuple(b) for a, b in keys.tolist()]
+    keys[swap] = keys[swap][:, ::-1]
+    _, first, counts = np.unique(keys.reshape(-1, 6), axis=0, return_index=True, return_counts=True)
+    return FaceSampler(
+        name, face.axis, face.triangles, sides[first[counts == 1]]
+    )  # a side of one triangle: an edge
+
+
+@lru_cache(maxsize=8)
+def _mesh(path: Path, any_face: CadFace) -> tuple[FloatArray, FloatArray]:
+    """Triangles (t, 3, 3) of all faces, and the face index (t,) of each."""
+    faces = read_step_faces(path, cache_dir())
+    indices = np.repeat([face.index for face in faces], [len(face.triangles) for face in faces])
+    return np.concatenate([face.triangles for face in faces]), indices

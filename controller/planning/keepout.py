@@ -1,0 +1,104 @@
+"""What the arm must not touch: boxes around everything that stands in the cell, the bench and the arm's base.
+
+No collision library: points of the wrist, the flange, the laser's head and the stylus, each with a radius,
+against boxes. Good for planned postures and the straight joint paths between them, in a cell laid out for it.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from controller.planning.poses import BoolArray
+from estimation.kinematics import ArmModel
+from estimation.transform import FloatArray, Transform
+
+BENCH_M: Final = 0.02  # least height of any point of the tool above the bench, z = 0 of the base
+COLUMN_RADIUS_M: Final = 0.11  # the arm's own base, as high as
+COLUMN_HEIGHT_M: Final = 0.40
+ELBOW_HEIGHT_M: Final = 0.20
+CLEARANCE_M: Final = 0.008
+SAMPLES: Final = 12  # along one joint path
+
+# Outlines in the frames of the sensors: a laser head of 46 x 30 x 40 mm behind its window, a stylus with its body.
+_LASER_HEAD: Final = np.array(
+    [[x, y, z] for x in (-0.015, 0.015) for y in (-0.023, 0.023) for z in (0.0, -0.02, -0.04)]
+)
+_STYLUS: Final = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.015], [0.0, 0.0, -0.03], [0.0, 0.0, -0.045]])
+_PROBE_BODY: Final = np.array([[x, y, -0.055] for x in (-0.012, 0.012) for y in (-0.012, 0.012)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolOutline:
+    """Points of what the flange carries, and of the wrist behind it, frame flange."""
+
+    points_m: FloatArray  # (k, 3)
+    radius_m: FloatArray  # (k,)
+    stylus: BoolArray  # (k,) the points that may come near what they touch
+
+    @staticmethod
+    def of(flange_T_laser: Transform, flange_T_probe: Transform, wrist_m: float) -> "ToolOutline":
+        """For sensors on their mounts; the wrist's centre is `wrist_m` behind the flange."""
+        laser, stylus = flange_T_laser.points(_LASER_HEAD), flange_T_probe.points(_STYLUS)
+        body = flange_T_probe.points(_PROBE_BODY)
+        arm = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -wrist_m / 2], [0.0, 0.0, -wrist_m]])
+        # The bracket runs from the flange to either sensor.
+        bracket = np.stack([0.5 * laser.mean(axis=0), 0.5 * body.mean(axis=0)])
+        points = np.concatenate([laser, body, bracket, arm, stylus])
+        radius = np.concatenate(
+            [
+                np.zeros(len(laser) + len(body)),
+                [0.01, 0.01],
+                [0.03, 0.04, 0.045],
+                np.full(len(stylus), 0.0015),
+            ]
+        )
+        return ToolOutline(points, radius, np.arange(len(points)) >= len(points) - len(stylus))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Something solid; `low_m` and `high_m` (3,) in its own frame, with what its place is uncertain by."""
+
+    name: str
+    base_T_box: Transform
+    low_m: FloatArray
+    high_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keepout:
+    """Boxes, bench and base, and the tool that must stay clear of them."""
+
+    arm: ArmModel
+    outline: ToolOutline
+    boxes: tuple[Box, ...]
+
+    def clear(self, joints_rad: FloatArray, touching: str = "") -> BoolArray:
+        """Whether postures (..., 6) are clear; the stylus may be near the box of the name `touching`."""
+        shape = joints_rad.shape[:-1]
+        joints = joints_rad.reshape(-1, 6)
+        flange = self.arm.flange_pose(joints)
+        points = np.einsum("mij,kj->mki", flange[:, :3, :3], self.outline.points_m) + flange[:, None, :3, 3]
+        radius = self.outline.radius_m
+        height = points[..., 2] - radius
+        free = (height > BENCH_M).all(axis=1)
+        column = (np.hypot(points[..., 0], points[..., 1]) - radius < COLUMN_RADIUS_M) & (
+            height < COLUMN_HEIGHT_M
+        )
+        free &= ~column.any(axis=1)
+        elbow = self.arm.d[0] + self.arm.a[1] * np.sin(self.arm.theta[1] + joints[:, 1])
+        free &= elbow > ELBOW_HEIGHT_M
+        for box in self.boxes:
+            which = ~self.outline.stylus if box.name == touching else np.ones(len(radius), dtype=bool)
+            local = (points[:, which] - box.base_T_box.origin_m) @ box.base_T_box.rotation
+            room = (radius[which] + CLEARANCE_M)[:, None]
+            inside = ((local > box.low_m - room) & (local < box.high_m + room)).all(axis=2)
+            free &= ~inside.any(axis=1)
+        return free.reshape(shape)
+
+    def path_clear(self, start_rad: FloatArray, end_rad: FloatArray, touching: str = "") -> BoolArray:
+        """Whether straight joint paths (m, 6) to (m, 6) are clear between their ends, which are not looked at."""
+        fractions = np.arange(1, SAMPLES) / SAMPLES
+        postures = start_rad[:, None] + fractions[:, None] * (end_rad - start_rad)[:, None]
+        return self.clear(postures, touching).all(axis=1)
