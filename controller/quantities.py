@@ -150,7 +150,7 @@ def parse(value: object, dimension: Dimension) -> float:
 def shown(value: object) -> str:
     """A value as a message shows it: as written in the file, on one line, cut if long."""
     if isinstance(value, str):
-        text = '"' + value.encode("unicode_escape").decode("ascii").replace("\\xb5", "µ") + '"'
+        text = '"' + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in value) + '"'
     elif isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, (list, tuple)):
@@ -266,14 +266,13 @@ class _QuantityOf:
                     "quantity", "{problem}", {"problem": error.problem, "remedy": error.remedy}
                 ) from None
 
-        return core_schema.no_info_before_validator_function(
-            validate, core_schema.float_schema(allow_inf_nan=False)
-        )
+        # the inner schema holds the bounds, in SI
+        return core_schema.no_info_before_validator_function(validate, handler(source))
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return {"type": "string", "quantity": self.dimension.name}
+        return {**handler(schema), "type": "string", "quantity": self.dimension.name}
 
 
 Length = Annotated[float, _QuantityOf(LENGTH)]

@@ -180,8 +180,8 @@ def _refuse_large(path: Path, size_m: float) -> None:
         )
 
 
-def _unit_m(content: bytes) -> float:
-    """The length unit of the file; the largest, if there are several. Millimetres if none is named."""
+def declared_unit_m(content: bytes) -> float | None:
+    """The length unit that the text of a STEP file names, in metres; the largest, if there are several."""
     units: dict[bytes, float] = {}
     converted: dict[bytes, bytes] = {}
     for match in _LENGTH_UNIT.finditer(content):
@@ -195,7 +195,13 @@ def _unit_m(content: bytes) -> float:
             units[key] = float(factor[1]) * units.get(factor[2], 1e-3)
             bases.add(factor[2])
     # A unit that only defines another one is not the unit of the coordinates.
-    return max((value for key, value in units.items() if key not in bases), default=1e-3)
+    return max((value for key, value in units.items() if key not in bases), default=None)
+
+
+def _unit_m(content: bytes) -> float:
+    """The length unit of the file, millimetres if none is named."""
+    unit_m = declared_unit_m(content)
+    return 1e-3 if unit_m is None else unit_m
 
 
 def _import(path: Path, content: bytes, out: Path) -> None:

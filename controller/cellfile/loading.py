@@ -13,7 +13,7 @@ from controller.cellfile.cell import Cell
 from controller.cellfile.consistency import find_inconsistencies
 from controller.cellfile.lines import LineIndex, index_lines, without
 from controller.cellfile.mistakes import CellFileMistakes, Mistake, Source
-from controller.cellfile.translate import mistake_of
+from controller.cellfile.translate import mistakes_of
 
 FILE_NAME: Final = "cell.toml"
 MAX_FILE_BYTES: Final = 1_000_000
@@ -142,24 +142,12 @@ def _validate(source: Source) -> tuple[Cell | None, dict[str, Any], list[Mistake
     try:
         cell = Cell.model_validate(content)
     except ValidationError as error:
-        mistakes = [mistake_of(details, source) for details in error.errors(include_url=False)]
-        faulty = {details["loc"][0] for details in error.errors(include_url=False) if details["loc"]}
+        errors = error.errors(include_url=False)
+        faulty = {details["loc"][0] for details in errors if details["loc"]}
         sections = {
             name: TypeAdapter(field.annotation).validate_python(content[field.alias or name])
             for name, field in Cell.model_fields.items()
             if (field.alias or name) not in faulty and field.annotation is not None
         }
-        return None, sections, _without_echoes(mistakes)
+        return None, sections, mistakes_of(errors, source)
     return cell, {name: getattr(cell, name) for name in Cell.model_fields}, []
-
-
-def _without_echoes(mistakes: list[Mistake]) -> list[Mistake]:
-    """Each message once: a misspelt key is both unknown and missing, and the first says it all."""
-    named = {mistake.remedy for mistake in mistakes if mistake.problem == "unknown key"}
-    kept = [
-        mistake
-        for mistake in mistakes
-        if mistake.problem != "key is missing"
-        or f'did you mean "{mistake.key.rsplit(".", 1)[-1]}"?' not in named
-    ]
-    return list(dict.fromkeys(kept))

@@ -1,5 +1,6 @@
 """What is wrong in a cell file, and where: file, line, key, value, and what is allowed."""
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -85,6 +86,14 @@ class Source:
                 plain = step.isascii() and step.isprintable() and step
                 text += ("." if text else "") + (step if plain else shown(step))
         return text
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """A remedy for a name that is not known: the nearest one, or all."""
+    close = difflib.get_close_matches(word, known, n=1)
+    if close:
+        return f'did you mean "{close[0]}"?'
+    return f"known: {', '.join(known)}" if known else "none is known here"
 
 
 def _is_tables(value: object) -> bool:

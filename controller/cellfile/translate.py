@@ -43,25 +43,41 @@ def resolved(node: dict[str, Any]) -> dict[str, Any]:
     return node
 
 
-def mistake_of(error: ErrorDetails, source: Source) -> Mistake:
-    """One finding of pydantic as a mistake with line, value, and what is allowed."""
+def mistakes_of(errors: list[ErrorDetails], source: Source) -> list[Mistake]:
+    """pydantic's findings as mistakes with line, value, and what is allowed; each matter once."""
+    located = [(_path_in_file(error["loc"], source), error) for error in errors]
+    mistakes, missing = [], dict[KeyPath, list[str]]()
+    meant = set[KeyPath]()  # what misspelt keys stand for: these are not also reported as missing
+    for path, error in located:
+        if error["type"] == "extra_forbidden" and (key := _nearest_key(path, source)) is not None:
+            meant.add((*path[:-1], key))
+    for path, error in located:
+        if error["type"] != "missing" or isinstance(path[-1], int):
+            mistakes.append(_mistake_of(error, path, source))
+        elif not any(path[:length] in meant for length in range(1, len(path) + 1)):
+            missing.setdefault(path[:-1], []).append(str(path[-1]))
+    for path, keys in missing.items():
+        if len(keys) == 1:
+            mistakes.append(
+                source.mistake((*path, keys[0]), "key is missing", _how_to_add((*path, keys[0]), source))
+            )
+        else:
+            mistakes.append(source.mistake(path, f"keys are missing: {', '.join(keys)}", "add them"))
+    return list(dict.fromkeys(mistakes))
+
+
+def _mistake_of(error: ErrorDetails, path: KeyPath, source: Source) -> Mistake:
     kind, context = error["type"], error.get("ctx", {})
-    path = _path_in_file(error["loc"], source)
-    if kind == "missing" and error["loc"] and isinstance(error["loc"][-1], int):
-        node = _node_at(path[:-1], source)
-        wanted = len(node.get("prefixItems", ())) or node.get("minItems", 1)
-        value = source.value(path[:-1])
+    if kind == "missing" or (kind == "too_long" and "prefixItems" in _node_at(path, source)):
+        path = path[:-1] if kind == "missing" else path
+        value = source.value(path)
         found = len(value) if isinstance(value, (list, tuple)) else 0
-        return source.mistake(path[:-1], f"{found} values", f"write {wanted}")
-    if kind == "missing":
-        return source.mistake(path, "key is missing", _what_is_wanted(path, source))
+        return source.mistake(path, f"{found} values", f"write {len(_node_at(path, source)['prefixItems'])}")
     if kind == "extra_forbidden":
         return _unknown_key(path, source)
-    if kind == "quantity":
-        # the value stands before the colon already
-        return source.mistake(
-            path, context["problem"].removeprefix(f"{shown(source.value(path))}: "), context["remedy"]
-        )
+    if kind == "quantity":  # the value stands before the problem already
+        problem = context["problem"].removeprefix(f"{shown(source.value(path))}: ")
+        return source.mistake(path, problem, context["remedy"])
     if kind in _EXPECTED:
         return source.mistake(path, _EXPECTED[kind])
     if kind in _COMPARISONS:
@@ -71,7 +87,9 @@ def mistake_of(error: ErrorDetails, source: Source) -> Mistake:
             path = (*path, context["discriminator"].strip("'"))
         return _not_allowed(path, source)
     if kind == "union_tag_not_found":
-        return source.mistake((*path, context["discriminator"].strip("'")), "key is missing")
+        key = context["discriminator"].strip("'")
+        choices = ", ".join(shown(choice) for choice in _choices((*path, key), source))
+        return source.mistake((*path, key), "key is missing", f"choose from {choices}")
     if kind in ("too_short", "too_long"):
         wanted = context.get("min_length", context.get("max_length"))
         relation = "at least" if kind == "too_short" else "at most"
@@ -119,37 +137,42 @@ def _keys(path: KeyPath, source: Source) -> list[str]:
     return list(_node_at(path, source).get("properties", {}))
 
 
-def _unknown_key(path: KeyPath, source: Source) -> Mistake:
+def _nearest_key(path: KeyPath, source: Source) -> str | None:
+    """The key that a misspelt one stands for: rather one that is not there yet."""
     key, allowed = str(path[-1]), _keys(path[:-1], source)
-    table = source.value(path[:-1])
-    unused = [name for name in allowed if not isinstance(table, dict) or name not in table]
-    nearest = difflib.get_close_matches(key, unused, n=1) or difflib.get_close_matches(key, allowed, n=1)
-    if nearest:
-        return source.mistake(path, "unknown key", f'did you mean "{nearest[0]}"?')
-    return source.mistake(path, "unknown key", f"allowed: {', '.join(unused or allowed)}")
+    nearest = difflib.get_close_matches(key, _unused(path, source), n=1)
+    return next(iter(nearest or difflib.get_close_matches(key, allowed, n=1)), None)
 
 
-def _what_is_wanted(path: KeyPath, source: Source) -> str:
-    node = _node_at(path, source)
-    description = node.get("description", "").split("\n")[0].rstrip(".")
+def _unused(path: KeyPath, source: Source) -> list[str]:
     table = source.value(path[:-1])
-    typos = [key for key in table if key not in _keys(path[:-1], source)] if isinstance(table, dict) else []
-    near = difflib.get_close_matches(str(path[-1]), typos, n=1)
-    if near:
-        return f'is it "{near[0]}"?'
+    return [name for name in _keys(path[:-1], source) if not isinstance(table, dict) or name not in table]
+
+
+def _unknown_key(path: KeyPath, source: Source) -> Mistake:
+    if (nearest := _nearest_key(path, source)) is not None:
+        return source.mistake(path, "unknown key", f'did you mean "{nearest}"?')
+    allowed = ", ".join(_unused(path, source) or _keys(path[:-1], source))
+    return source.mistake(path, "unknown key", f"allowed: {allowed}" if allowed else "remove it")
+
+
+def _how_to_add(path: KeyPath, source: Source) -> str:
+    description = _node_at(path, source).get("description", "").split("\n")[0].rstrip(".")
     return f"add it ({description[:1].lower()}{description[1:]})" if description else "add it"
 
 
+def _choices(path: KeyPath, source: Source) -> list[Any]:
+    node = _node_at(path, source)
+    tags = _node_at(path[:-1], source).get("discriminator", {}).get("mapping", {})  # of a union
+    return node.get("enum") or ([node["const"]] if "const" in node else list(tags))
+
+
 def _not_allowed(path: KeyPath, source: Source) -> Mistake:
-    node, value = _node_at(path, source), source.value(path)
-    allowed = node.get("enum", [node["const"]] if "const" in node else [])
-    if not allowed:  # the tag of a union
-        allowed = list(_node_at(path[:-1], source).get("discriminator", {}).get("mapping", {}))
-    near = difflib.get_close_matches(value, allowed, n=1) if isinstance(value, str) else []
+    choices, value = _choices(path, source), source.value(path)
+    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
     remedy = f"did you mean {shown(near[0])}? " if near else ""
-    return source.mistake(
-        path, "not allowed", remedy + f"allowed: {', '.join(shown(choice) for choice in allowed)}"
-    )
+    all_choices = ", ".join(shown(choice) for choice in choices)
+    return source.mistake(path, "not allowed", f"{remedy}choose from {all_choices}")
 
 
 def _out_of_bounds(kind: str, context: dict[str, Any], value: object) -> tuple[str, str]:
