@@ -1,11 +1,15 @@
 """From a step of the plan to a sample: move, settle, read joints and sensor together."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from controller.cellfile import Cell
-from controller.planning.steps import Step
+from controller.knowledge import first_belief
+from controller.planning.paths import accesses
+from controller.planning.steps import Joints, Step, route
+from controller.planning.workspace import Workspace
 from controller.samples import Sample
 from drivers.capabilities import Devices, JointReadings, Quality, RangeReadings
 from drivers.clock import Clock
@@ -22,20 +26,49 @@ class Acquisition:
 
     def __init__(self, cell: Cell, arm: ArmModel, devices: Devices, clock: Clock) -> None:
         self._cell, self._arm, self._devices, self._clock = cell, arm, devices, clock
+        self._last: Step | None = None  # where the arm stands; None in a carrying posture
+        self._lost = True  # nobody knows where the arm stands
 
-    def take(self, step: Step) -> Sample:
-        """One sample; a missing target gives a bad sample, a failing device raises DeviceError."""
-        for via in step.via:
-            self._devices.robot.move_joints(np.asarray(via))
+    def take(self, step: Step, after: Step | None) -> Sample:
+        """One sample; a missing target gives a bad sample, a failing device raises DeviceError.
+
+        `after` is the step before it in its plan. If that is not where the arm stands (a restart, a
+        reference, a single step taken again), the way leads over the carrying postures.
+        """
+        if self._lost:
+            self._find_way_out(step)
+        follows = after is not None and after is self._last
+        way = step.via if follows else route(self._last, step)
+        self._lost = True  # until the step has ended
+        self._pass(way)
         self._devices.robot.move_joints(np.asarray(step.joints_rad))
-        if step.kind == "touch":
-            return self._touch(step)
-        return self._measure_range(step)
+        sample = self._touch(step) if step.kind == "touch" else self._measure_range(step)
+        self._pass(step.retreat)
+        self._last, self._lost = step, False
+        return sample
 
-    def retreat(self, step: Step) -> None:
-        """Back out the way that the step came, as far as it says."""
-        for via in step.retreat:
-            self._devices.robot.move_joints(np.asarray(via))
+    def park(self) -> None:
+        """Bring the arm to a carrying posture, from wherever the last step left it."""
+        if self._last is not None and not self._lost:
+            last, self._last = self._last, None
+            self._pass(() if last.retreat[-1:] == last.access[:1] else tuple(reversed(last.access)))
+
+    def _pass(self, way: Sequence[Joints]) -> None:
+        for posture in way:
+            self._devices.robot.move_joints(np.asarray(posture))
+
+    def _find_way_out(self, near: Step) -> None:
+        """To a carrying posture, from where a stop, a fault or a restart left the arm."""
+        here = self._devices.robot.read_joints(1).joints_rad
+        workspace = Workspace(self._cell, self._arm, first_belief(self._cell))
+        for touching in ("", "part", "sphere"):
+            (way,) = accesses(workspace.keepout, here, touching)
+            if way is not None:
+                self._pass([tuple(posture.tolist()) for posture in reversed(way)])
+                break
+        else:  # pressed against something, or in the air between two postures: back the way that led here
+            self._pass((near.joints_rad, *reversed(near.access)))
+        self._last, self._lost = None, False
 
     def _measure_range(self, step: Step) -> Sample:
         self._clock.sleep(self._cell.robot.settle_time_s)

@@ -20,7 +20,7 @@ from controller.phases.reference import reference_excess
 from controller.planning.feasibility import refuse_impossible_limits
 from controller.planning.steps import Step
 from controller.samples import Sample
-from controller.store import Run, Store
+from controller.store import Result, Run, Store
 from drivers.capabilities import Devices
 from drivers.clock import Clock
 from estimation.belief import Belief
@@ -57,10 +57,9 @@ class CellJob:
             self._store.close_run(run.id, "superseded: the cell file changed")
             run = None
         if run is None:
-            opened = self._store.begin_run(
-                self._cell.path.read_text(), self._cell.digest, self._version, simulated=self._cell.simulated
+            self._run = self._store.begin_run(
+                self._cell.text, self._cell.digest, self._version, simulated=self._cell.simulated
             )
-            self._run = self._store.run(opened)
         else:
             self._run = run
             self.record("resumed", f"Run {run.id} goes on from its last sample")
@@ -75,12 +74,12 @@ class CellJob:
                 self._cell, spec, self._arm, belief, earlier, self._seed
             )
             stored = [result for result in self._store.results(self.run.id) if result.phase == spec.name]
-            if stored and stored[-1].verdict == Outcome.OK:
+            if stored and (stored[-1].verdict == Outcome.OK or spec.kind == "inspect"):
                 attempt, last = stored[-1].attempt, stored[-1]
                 estimate = last.result["estimate"]
                 belief = Belief.from_dict(last.belief) if last.belief is not None else belief
             else:
-                attempt = len(stored) + 1
+                attempt = self._next_attempt(stored)
                 finding = self._phase(index, context, attempt, checkpoint)
                 estimate, belief = finding.estimate, finding.belief
             steps = self._steps(spec, attempt)
@@ -92,8 +91,7 @@ class CellJob:
         """Measure the first plate points of this run again; raises DeviceError if they moved."""
         for step, before in self._references():
             self._tell(phase="reference", activity="acquiring", text="measuring a known point again")
-            again = self._acquisition.take(step)
-            self._acquisition.retreat(step)
+            again = self._acquisition.take(step, None)
             self._store.event(
                 "reference", f"step {step.id} measured again", before=before.to_dict(), again=again.to_dict()
             )
@@ -102,11 +100,12 @@ class CellJob:
                 raise DeviceError(
                     f"The reference point on the plate moved by {excess.moved_m * 1e3:.3f} mm, "
                     f"limit {excess.limit_m * 1e3:.3f} mm",
-                    "Laser, plate or robot changed during the interruption: find out what, then Stop, Reset and Start anew",
+                    "Laser, plate or robot changed meanwhile: find out what, then Stop, Reset and Start anew",
                 )
 
     def complete(self) -> None:
         """Close the run with the verdict of all its phases."""
+        self._acquisition.park()
         self._store.close_run(self.run.id, self.outcome().value)
         self._tell(phase=None, activity="completed", outcome=self.outcome().value)
 
@@ -154,7 +153,7 @@ class CellJob:
             further = kind.more(context, steps, samples)
             if not further:
                 self._tell(phase=spec.name, activity="estimating", attempt=attempt)
-                finding = kind.evaluate(context, samples)
+                finding = kind.evaluate(context, steps, samples)
                 if not finding.verdict.passed and finding.verdict.curable:
                     further = kind.extend(context, steps, samples, finding)
                 if not further:
@@ -162,6 +161,15 @@ class CellJob:
             steps = self._extend(index, spec, attempt, steps, further)
         self._conclude(spec, attempt, finding)
         return finding
+
+    def _next_attempt(self, results: Sequence[Result]) -> int:
+        """A new one after each result, but the same again when somebody marked its samples since."""
+        if not results:
+            return 1
+        last = results[-1]
+        now = self._store.samples(self.run.id, last.phase, last.attempt)
+        marked = {sample.id for sample in now} != set(last.sample_ids)
+        return last.attempt if marked else last.attempt + 1
 
     def _conclude(self, spec: PhaseSpec, attempt: int, finding: Finding) -> None:
         verdict = finding.verdict
@@ -185,17 +193,15 @@ class CellJob:
         self, spec: PhaseSpec, attempt: int, steps: Sequence[Step], checkpoint: Callable[[], None]
     ) -> list[Sample]:
         """Take what is missing of the steps; a sample counts once the store has it."""
-        waiting = set(self._store.retakes(self.run.id, spec.name, attempt))
         stored = self._store.samples(self.run.id, spec.name, attempt, include_excluded=True)
-        done = {sample.step for sample in stored} - waiting
+        done = {sample.step for sample in stored if sample.mark != "retake"}
         misses = 0
         for place, step in enumerate(steps):
             if place in done:
                 continue
             checkpoint()
-            sample = self._acquisition.take(step)
+            sample = self._acquisition.take(step, steps[place - 1] if place else None)
             self._store.add_sample(self.run.id, spec.name, attempt, place, step.kind, sample.to_dict())
-            self._acquisition.retreat(step)
             done.add(place)
             self._tell(
                 phase=spec.name,
@@ -220,7 +226,8 @@ class CellJob:
     def _extend(
         self, index: int, spec: PhaseSpec, attempt: int, steps: Sequence[Step], further: Sequence[Step]
     ) -> list[Step]:
-        plan = [*steps, *further]
+        numbered = [step.numbered(len(steps) + i) for i, step in enumerate(further)]
+        plan = [*steps, *numbered]
         self._store.save_plan(
             self.run.id, index, spec.name, attempt, {"steps": [step.to_dict() for step in plan]}
         )

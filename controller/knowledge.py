@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -177,14 +178,16 @@ def joint_variance(cell: Cell, readings: int) -> float:
 
 def observations(cell: Cell, samples: Sequence[Sample]) -> list[Observations]:
     """Samples as the estimator takes them, one batch per sensor and object, in the order of first appearance."""
-    groups: dict[tuple[str, str], list[Sample]] = {}
+    groups: dict[tuple[Literal["laser", "probe"], str], list[Sample]] = {}
     for sample in samples:
-        sensor = "probe" if sample.kind == "touch" else "laser"
+        sensor: Literal["laser", "probe"] = "probe" if sample.kind == "touch" else "laser"
         groups.setdefault((sensor, sample.object), []).append(sample)
     return [_batch(cell, sensor, name, group) for (sensor, name), group in groups.items()]
 
 
-def _batch(cell: Cell, sensor: str, name: str, samples: Sequence[Sample]) -> Observations:
+def _batch(
+    cell: Cell, sensor: Literal["laser", "probe"], name: str, samples: Sequence[Sample]
+) -> Observations:
     features = object_features(cell, name)
     place = {feature.name: i for i, feature in enumerate(features)}
     count, joints = len(samples), len(samples[0].joints_rad)

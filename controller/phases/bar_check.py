@@ -13,7 +13,7 @@ from controller.cellfile import job
 from controller.gates import Proof, Verdict
 from controller.knowledge import observations, with_bar
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, PhaseContext, checked_phase, good
 from controller.planning import plan_bar_check
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -39,11 +39,13 @@ class BarCheckPhase:
     ) -> Sequence[Step]:
         return ()
 
-    def evaluate(self, context: PhaseContext[job.CheckPhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         prior = with_bar(context.belief, context.cell)
         batches = observations(context.cell, good(samples))
         test = bump_test(prior, context.arm, batches, level=context.spec.level)
-        hand_eye = next(phase for phase in context.cell.job.phases if phase.name == context.spec.of)
+        hand_eye = checked_phase(context, job.HandEyePhase)
         shifts = _shifts(context, test, np.array(hand_eye.gated_ranges_m))
         proofs = (
             Proof(

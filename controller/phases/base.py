@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
-from controller.cellfile import Cell
+from controller.cellfile import Cell, CheckPhase, HandEyePhase, LocalizePhase
 from controller.gates import Verdict
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -12,6 +12,7 @@ from estimation.belief import Belief
 from estimation.kinematics import ArmModel
 
 Spec = TypeVar("Spec")
+Checked = TypeVar("Checked", HandEyePhase, LocalizePhase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,9 @@ class PhaseKind(Protocol):
         Raises OutsideCause (no part), CellError.
         """
 
-    def evaluate(self, context: PhaseContext[Any], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[Any], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         """Estimate and gate. Raises EstimationError when the data cannot support an estimate."""
 
     def extend(
@@ -72,3 +75,12 @@ class PhaseKind(Protocol):
 def good(samples: Sequence[Sample], *kinds: str) -> list[Sample]:
     """The samples that may enter an estimate, of the given kinds (all kinds if none is given)."""
     return [sample for sample in samples if sample.good and (not kinds or sample.kind in kinds)]
+
+
+def checked_phase(context: PhaseContext[CheckPhase], kind: type[Checked]) -> Checked:
+    """The phase that a check is about; the cell file is known to name one of this kind."""
+    return next(
+        phase
+        for phase in context.cell.job.phases
+        if phase.name == context.spec.of and isinstance(phase, kind)
+    )

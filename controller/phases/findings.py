@@ -61,7 +61,7 @@ def uncertainty_proof(gated: Sequence[Mapping[str, Any]], limit_m: float) -> Pro
 
 def consistency_proof(update: Update, level: float = CONSISTENCY_LEVEL) -> Proof:
     """Residuals against the declared noise, full covariance, both ways (STANDARDS: global test)."""
-    lower, upper = chi_square.ppf([level / 2, 1 - level / 2], update.dof)
+    lower, upper = (float(chi_square.ppf(p, update.dof)) for p in (level / 2, 1 - level / 2))
     inside = lower <= update.chi2 <= upper
     word = (
         "as declared"
@@ -73,7 +73,7 @@ def consistency_proof(update: Update, level: float = CONSISTENCY_LEVEL) -> Proof
     return Proof(
         "chi-square of the residuals",
         update.chi2,
-        float(upper if update.chi2 >= lower else lower),
+        upper if update.chi2 >= lower else lower,
         "",
         Outcome.OK if inside else Outcome.NOT_DECIDABLE,
         f"{update.dof} degrees of freedom, band {lower:.1f} to {upper:.1f}: residuals are {word}",

@@ -33,7 +33,9 @@ class HandEyePhase:
     ) -> Sequence[Step]:
         return ()
 
-    def evaluate(self, context: PhaseContext[job.HandEyePhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.HandEyePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         prior = with_plate(context.belief, context.cell)
         batches = observations(context.cell, good(samples))
         fit = update(

@@ -46,7 +46,9 @@ class InspectPhase:
     ) -> Sequence[Step]:
         return ()
 
-    def evaluate(self, context: PhaseContext[job.InspectPhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.InspectPhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         cell = context.cell
         prior = with_inspected(with_probe(context.belief, cell), cell)
         touches = good(samples, "touch")
@@ -162,7 +164,8 @@ class InspectPhase:
             "points": measured.points,
             "method": measured.method,
             "datums": list(item.datums) if item.kind == "position" else [],
-            "text": f"{item.kind} of {item.feature}: {measured.value_m * 1e3:.4f} mm, U = {2e3 * measured.u_m:.4f} mm (k = 2)",
+            "text": f"{item.kind} of {item.feature}: {measured.value_m * 1e3:.4f} mm, "
+            f"U = {2e3 * measured.u_m:.4f} mm (k = 2)",
         }
 
 
@@ -178,7 +181,10 @@ def _diameter(belief: Belief, feature: Feature, points: int) -> Measured:
 
 
 def _position(cell: Cell, belief: Belief, feature: Feature, datums: Sequence[str], points: int) -> Measured:
-    """Twice the distance of the axis from its exact place, in the touched datums; its u is that of the worst direction."""
+    """Twice the distance of the axis from its exact place in the touched datums.
+
+    The uncertainty is that of the worst direction: near zero the distance has none of its own.
+    """
     named = {other.name: other for other in part_features(cell)}
     axis = np.asarray(feature.axis)
     across = [named[datum] for datum in datums if abs(np.dot(named[datum].axis, axis)) < 0.5]

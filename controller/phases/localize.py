@@ -27,7 +27,7 @@ class LocalizePhase:
 
     def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
         prior = with_part(context.belief, context.cell)
-        return plan_coarse_localize(context.cell, prior, context.arm, context.spec, context.seed).steps
+        return plan_coarse_localize(context.cell, prior, context.arm, context.spec.faces, context.seed).steps
 
     def more(
         self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -35,7 +35,12 @@ class LocalizePhase:
         if any(step.note != COARSE_NOTE for step in steps):
             return ()
         return plan_localize(
-            context.cell, self.found(context, steps, samples), context.arm, context.spec, context.seed
+            context.cell,
+            self.found(context, steps, samples),
+            context.arm,
+            context.spec.faces,
+            context.spec.measurements,
+            context.seed,
         ).steps
 
     def found(
@@ -46,7 +51,7 @@ class LocalizePhase:
         hits = good([sample for sample in samples if sample.step in coarse])
         if len(hits) < FEWEST_COARSE:
             raise OutsideCause(
-                f"The part was hit by {len(hits)} of {len(coarse)} search points, at least {FEWEST_COARSE} are needed",
+                f"{len(hits)} of {len(coarse)} search points hit the part, at least {FEWEST_COARSE} must",
                 "Put the part nearer to its nominal place, then Unsuspend",
             )
         prior = with_part(context.belief, context.cell)
@@ -59,13 +64,12 @@ class LocalizePhase:
             reject_level=OUTLIER_LEVEL,
         ).belief
 
-    def evaluate(self, context: PhaseContext[job.LocalizePhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         prior = with_part(context.belief, context.cell)
-        fine = [
-            sample
-            for sample in good(samples)
-            if not sample.step.startswith(f"{context.spec.name} {COARSE_NOTE}")
-        ]
+        searched = {step.id for step in steps if step.note == COARSE_NOTE}
+        fine = [sample for sample in good(samples) if sample.step not in searched]
         fit = update(
             prior,
             context.arm,
@@ -114,7 +118,7 @@ class LocalizePhase:
             context.cell,
             finding.belief,
             context.arm,
-            context.spec,
+            context.spec.faces,
             steps,
             min(left, MORE_AT_ONCE),
             context.seed,

@@ -33,7 +33,9 @@ class NoisePhase:
     ) -> Sequence[Step]:
         return ()
 
-    def evaluate(self, context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.NoisePhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         still = good(samples, "noise")
         joints = _joint_proofs(context, still)
         laser = [_reading_proof(context, good(samples)), _point_proof(context, good(samples))]

@@ -10,7 +10,7 @@ from controller.cellfile import job
 from controller.gates import Proof, Verdict
 from controller.knowledge import observations
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, PhaseContext, checked_phase, good
 from controller.planning import plan_part_check
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -27,7 +27,13 @@ class PartCheckPhase:
     def plan(self, context: PhaseContext[job.CheckPhase]) -> Sequence[Step]:
         used = context.earlier[context.spec.of].steps
         return plan_part_check(
-            context.cell, context.belief, context.arm, context.spec, used, context.seed
+            context.cell,
+            context.belief,
+            context.arm,
+            checked_phase(context, job.LocalizePhase).faces,
+            context.spec.points,
+            used,
+            context.seed,
         ).steps
 
     def more(
@@ -35,9 +41,11 @@ class PartCheckPhase:
     ) -> Sequence[Step]:
         return ()
 
-    def evaluate(self, context: PhaseContext[job.CheckPhase], samples: Sequence[Sample]) -> Finding:
+    def evaluate(
+        self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Finding:
         points = good(samples)
-        localize = next(phase for phase in context.cell.job.phases if phase.name == context.spec.of)
+        localize = checked_phase(context, job.LocalizePhase)
         batches = observations(context.cell, points)
         prediction = predict(context.belief, context.arm, batches)
         own_u_m = np.sqrt(prediction.noise_variance)  # of the check itself
@@ -66,7 +74,8 @@ class PartCheckPhase:
                 float(abs(prediction.residual_m[worst])) * 1e3,
                 float(guarded_m[worst]) * 1e3,
                 "mm",
-                f"on {points[worst].feature}; limit {localize.limit_m * 1e3:.2f} mm less the guard band of the check",
+                f"on {points[worst].feature}; limit {localize.limit_m * 1e3:.2f} mm "
+                "less the guard band of the check",
             ),
         )
         passed = all(proof.outcome is Outcome.OK for proof in proofs)

@@ -12,6 +12,14 @@ from estimation.errors import StoreError
 JsonObject = dict[str, Any]
 
 
+class RecordNotFound(StoreError):
+    """Asked for something that the store does not hold."""
+
+
+class RecordRefused(StoreError):
+    """The store is well, but this must not be recorded."""
+
+
 @dataclass(frozen=True, slots=True)
 class Run:
     """One job from Start to its end. Times are UTC seconds since 1970."""
@@ -116,11 +124,11 @@ def to_text(value: object) -> str:
         return json.dumps(value, default=_plain, allow_nan=False, sort_keys=True, separators=(",", ":"))
     except ValueError:
         place = _path_of_non_finite(value, "") or "a value"
-        raise StoreError(
+        raise RecordRefused(
             f"{place} is not finite", "Only finite numbers are recorded; mark the sample bad instead"
         ) from None
     except TypeError as error:
-        raise StoreError(
+        raise RecordRefused(
             f"A record cannot hold this: {error}", "Give numbers, text, lists and maps"
         ) from None
 

@@ -13,7 +13,18 @@ import sqlalchemy as sa
 
 from controller.store import audit, database, rows, schema
 from controller.store.lock import OwnerLock
-from controller.store.records import Event, JsonObject, PhasePlan, Result, Run, Sample, digest_of, to_text
+from controller.store.records import (
+    Event,
+    JsonObject,
+    PhasePlan,
+    RecordNotFound,
+    RecordRefused,
+    Result,
+    Run,
+    Sample,
+    digest_of,
+    to_text,
+)
 from drivers.clock import Clock, RealClock
 from estimation.errors import StoreError
 
@@ -114,7 +125,7 @@ class Store:
     ) -> Run:
         """Open a run with its frozen copy of the cell file. One run at a time."""
         if self._open_run is not None:
-            raise StoreError(f"Run {self._open_run} is still open", "Close it first")
+            raise RecordRefused(f"Run {self._open_run} is still open", "Close it first")
         values: JsonObject = {
             "cell_text": cell_text,
             "cell_digest": cell_digest,
@@ -152,7 +163,7 @@ class Store:
         with self._read() as connection:
             row = connection.execute(sa.select(_RUNS).where(_RUNS.c.id == run)).one_or_none()
         if row is None:
-            raise StoreError(f"No run {run}", "`truecell history` lists the runs")
+            raise RecordNotFound(f"No run {run}", "`truecell history` lists the runs")
         return rows.run_of(row)
 
     def runs(self, limit: int = 100) -> list[Run]:
@@ -239,14 +250,14 @@ class Store:
 
     def _mark(self, sample: int, mark: str, reason: str, who: str) -> None:
         if not reason.strip() or not who.strip():
-            raise StoreError(f"Sample {sample} marked without reason or name", "Say why, and who decides it")
+            raise RecordRefused(f"Sample {sample} marked without reason or name", "Say why and who decides")
         data = {"sample": sample, "mark": mark, "reason": reason, "who": who}
         with self._write(f"Sample {sample} not marked") as connection:
             row = connection.execute(_SELECT_SAMPLES.where(_SAMPLES.c.id == sample)).one_or_none()
             if row is None:
-                raise StoreError(f"No sample {sample}", "`truecell samples list` shows them")
+                raise RecordNotFound(f"No sample {sample}", "`truecell samples list` shows them")
             if row.mark is not None:
-                raise StoreError(f"Sample {sample} was marked {row.mark} by {row.who}", "Marks are final")
+                raise RecordRefused(f"Sample {sample} was marked {row.mark} by {row.who}", "Marks are final")
             _insert(connection, _MARKS, {**data, "utc_s": self._clock.utc_s()})
             self._append(connection, "sample", f"Sample {sample} {mark}: {reason}", data)
 
@@ -361,7 +372,7 @@ class Store:
 
     def _require_open(self, run: int) -> None:
         if run != self._open_run:
-            raise StoreError(f"Run {run} is not open", "Samples and plans are recorded in the open run only")
+            raise RecordRefused(f"Run {run} is not open", "Only the open run takes samples and plans")
 
 
 def _insert(connection: sa.Connection, table: sa.Table, values: Mapping[str, object]) -> int:
@@ -374,5 +385,5 @@ def _digest_of_samples(connection: sa.Connection, ids: tuple[int, ...]) -> str:
     query = _SELECT_SAMPLES.where(_SAMPLES.c.id.in_(ids))
     found = {sample.id: sample for sample in map(rows.sample_of, connection.execute(query))}
     if bad := [i for i in ids if i not in found or found[i].mark is not None]:
-        raise StoreError(f"Result rests on missing or excluded samples {bad}", "Estimate again without them")
+        raise RecordRefused(f"Result rests on missing or excluded samples {bad}", "Estimate without them")
     return digest_of([found[i].digest for i in ids])

@@ -1,0 +1,1 @@
+"""The daemon: owns the cell, and lets console, page and scripts in through a unix socket."""
