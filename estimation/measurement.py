@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
 from estimation.kinematics import ArmModel
-from estimation.surfaces import Feature, feature_table, signed_distance
+from estimation.surfaces import Feature, cross, feature_table, signed_distance
 from estimation.transform import FloatArray, Transform, skew
 
 JOINT_NOISE: Final = "joint noise"
@@ -132,31 +132,36 @@ def evaluate(belief: Belief, arm: ArmModel, observations: Sequence[Observations]
 
 def rows_at(values: Mapping[str, Value], arm: ArmModel, observations: Sequence[Observations]) -> Rows:
     """As `evaluate`, at values that need not be a belief's."""
-    parts = [_batch(values, arm, batch) for batch in observations]
+    if not observations:
+        return Rows(np.zeros(0), {}, {})
+    actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
+    # One pass through the kinematics for all batches: its cost is per call as much as per row.
+    chain = actual.jacobians(np.concatenate([batch.joints_rad for batch in observations]))
+    ends = np.cumsum([len(batch) for batch in observations]).tolist()
+    places = [slice(end - len(batch), end) for batch, end in zip(observations, ends, strict=True)]
+    parts = [
+        _batch(values, (chain[0][place], chain[1][place], chain[2][place]), batch)
+        for batch, place in zip(observations, places, strict=True)
+    ]
     if len(parts) == 1:
         return parts[0]
-    if not parts:
-        return Rows(np.zeros(0), {}, {})
-    lengths = [len(part.residual_m) for part in parts]
     jacobian: dict[str, FloatArray] = {}
     noise: dict[str, FloatArray] = {}
-    end = 0
-    for part, length in zip(parts, lengths, strict=True):
-        place = slice(end, end + length)
+    for part, place in zip(parts, places, strict=True):
         for name, matrix in part.jacobian.items():
-            jacobian.setdefault(name, np.zeros((sum(lengths), matrix.shape[1])))[place] = matrix
+            jacobian.setdefault(name, np.zeros((ends[-1], matrix.shape[1])))[place] = matrix
         for name, variance in part.noise.items():
-            noise.setdefault(name, np.zeros(sum(lengths)))[place] = variance
-        end += length
+            noise.setdefault(name, np.zeros(ends[-1]))[place] = variance
     return Rows(np.concatenate([part.residual_m for part in parts]), jacobian, noise)
 
 
-def _batch(values: Mapping[str, Value], arm: ArmModel, batch: Observations) -> Rows:
-    actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
-    flange, joint_twist, parameter_twist = actual.jacobians(batch.joints_rad)
-    sensor = _sensor_points(values, batch.sensor, batch.reading_m)
+def _batch(
+    values: Mapping[str, Value], chain: tuple[FloatArray, FloatArray, FloatArray], batch: Observations
+) -> Rows:
+    flange, joint_twist, parameter_twist = chain
+    sensor = _Sensor.of(values, batch.sensor, batch.reading_m)
     rotation = flange[:, :3, :3]
-    base_p = np.einsum("mij,mj->mi", rotation, sensor.flange_p) + flange[:, :3, 3]
+    base_p = (rotation @ sensor.flange_p[:, :, None])[:, :, 0] + flange[:, :3, 3]
     pose = _pose(values, batch.object)
     object_p = (base_p - pose.origin_m) @ pose.rotation
     table = feature_table(batch.features)
@@ -164,66 +169,78 @@ def _batch(values: Mapping[str, Value], arm: ArmModel, batch: Observations) -> R
     distance = signed_distance(
         batch.features, batch.feature_index, object_p, np.concatenate([np.zeros(0), *parameters])
     )
-    object_g = distance.gradient
-    flange_g = np.einsum("mji,mj->mi", rotation, object_g @ pose.rotation.T)
+    base_g = distance.gradient @ pose.rotation.T
+    flange_g = (base_g[:, None, :] @ rotation)[:, 0, :]
     flange_row = _pose_rows(flange_g, sensor.flange_p)
-    jacobian = {name: np.einsum("mi,mij->mj", flange_g, matrix) for name, matrix in sensor.jacobian.items()}
-    jacobian[batch.object] = -_pose_rows(object_g, object_p)
+    jacobian = sensor.rows(flange_g, values)
+    jacobian[batch.object] = -_pose_rows(distance.gradient, object_p)
     if "kinematics" in values:
-        jacobian["kinematics"] = np.einsum("mi,mik->mk", flange_row, parameter_twist)
+        jacobian["kinematics"] = (flange_row[:, None, :] @ parameter_twist)[:, 0, :]
     start = 0
     for name, size in table.blocks:
         jacobian[name] = distance.deviation[:, start : start + size]
         start += size
-    joint_k = np.einsum("mi,mij->mj", flange_row, joint_twist)
+    joint_k = (flange_row[:, None, :] @ joint_twist)[:, 0, :]
     noise = {
         JOINT_NOISE: np.einsum("mj,mj->m", joint_k**2, batch.joint_variance),
         SURFACE: batch.surface_variance,
     }
     residual = distance.distance_m
     if batch.sensor == "laser":
-        along = np.einsum("mi,mi->m", flange_g, sensor.by_reading)
+        along = (1.0 + sensor.scale) * (flange_g @ sensor.beam)
         noise[RANGE_NOISE] = along**2 * batch.reading_variance
     else:
         noise[TOUCH_NOISE] = batch.reading_variance
         if "probe.radius" in values:
             residual = residual - _sized(values, "probe.radius", 1)[0]
-            jacobian["probe.radius"] = -np.ones((len(batch), 1))
+            jacobian["probe.radius"] = np.full((len(batch), 1), -1.0)
     return Rows(residual, jacobian, noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SensorPoints:
+class _Sensor:
+    """Points of a sensor in frame flange: mount . bump . (0, 0, (1 + scale) reading + offset)."""
+
+    name: str
+    mount: Transform
+    bumped: FloatArray  # (3, 3) rotation of the mount after the bump
+    scale: float
+    reading_m: FloatArray  # (m,)
+    beam_p: FloatArray  # (m, 3) along the beam, before bump and mount
+    sensor_p: FloatArray  # (m, 3) after the bump, frame of the mount
     flange_p: FloatArray  # (m, 3)
-    jacobian: dict[str, FloatArray]  # block -> (m, 3, w), in frame flange
-    by_reading: FloatArray  # (m, 3)
 
+    @staticmethod
+    def of(values: Mapping[str, Value], name: str, reading_m: FloatArray) -> "_Sensor":
+        mount = _pose(values, name)
+        beam_p = np.zeros((len(reading_m), 3))
+        scale, bumped, sensor_p = 0.0, mount.rotation, beam_p
+        if name == "laser":
+            scale = float(_sized(values, "laser.scale", 1)[0]) if "laser.scale" in values else 0.0
+            offset_m = float(_sized(values, "laser.offset", 1)[0]) if "laser.offset" in values else 0.0
+            beam_p[:, 2] = (1.0 + scale) * reading_m + offset_m
+            if "bump" in values:
+                bump = _pose(values, "bump")
+                bumped, sensor_p = mount.rotation @ bump.rotation, bump.points(beam_p)
+        return _Sensor(name, mount, bumped, scale, reading_m, beam_p, sensor_p, mount.points(sensor_p))
 
-def _sensor_points(values: Mapping[str, Value], sensor: str, reading_m: FloatArray) -> _SensorPoints:
-    mount = _pose(values, sensor)
-    count = len(reading_m)
-    if sensor == "probe":
-        flange_p = np.broadcast_to(mount.origin_m, (count, 3))
-        return _SensorPoints(
-            flange_p, {sensor: _moved(mount.rotation, np.zeros((count, 3)))}, np.zeros((count, 3))
-        )
-    scale = _sized(values, "laser.scale", 1)[0] if "laser.scale" in values else 0.0
-    offset_m = _sized(values, "laser.offset", 1)[0] if "laser.offset" in values else 0.0
-    beam_p = np.zeros((count, 3))
-    beam_p[:, 2] = (1.0 + scale) * reading_m + offset_m
-    jacobian: dict[str, FloatArray] = {}
-    rotation, laser_p = mount.rotation, beam_p
-    if "bump" in values:
-        bump = _pose(values, "bump")
-        rotation, laser_p = mount.rotation @ bump.rotation, bump.points(beam_p)
-        jacobian["bump"] = _moved(rotation, beam_p)
-    jacobian[sensor] = _moved(mount.rotation, laser_p)
-    beam = np.broadcast_to(rotation[:, 2], (count, 3))
-    if "laser.scale" in values:
-        jacobian["laser.scale"] = (beam * reading_m[:, None])[:, :, None]
-    if "laser.offset" in values:
-        jacobian["laser.offset"] = beam[:, :, None].copy()
-    return _SensorPoints(mount.points(laser_p), jacobian, (1.0 + scale) * beam)
+    @property
+    def beam(self) -> FloatArray:
+        """Direction of the beam (3,) in frame flange."""
+        return self.bumped[:, 2]
+
+    def rows(self, flange_g: FloatArray, values: Mapping[str, Value]) -> dict[str, FloatArray]:
+        """Derivatives (m, w) of g . p by the blocks of the sensor."""
+        jacobian = {self.name: _pose_rows(flange_g @ self.mount.rotation, self.sensor_p)}
+        if self.name == "laser":
+            along = flange_g @ self.beam
+            if "bump" in values:
+                jacobian["bump"] = _pose_rows(flange_g @ self.bumped, self.beam_p)
+            if "laser.scale" in values:
+                jacobian["laser.scale"] = (along * self.reading_m)[:, None]
+            if "laser.offset" in values:
+                jacobian["laser.offset"] = along[:, None]
+        return jacobian
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,8 +267,11 @@ def point_jacobian(
     Noise of the reading and of the joints is not in here: only what the belief is uncertain of.
     """
     values = {block.name: block.value for block in belief.blocks}
-    sensor = _sensor_points(values, "laser", np.asarray(readings_m, dtype=np.float64))
-    points, parts = sensor.flange_p, sensor.jacobian
+    sensor = _Sensor.of(values, "laser", np.asarray(readings_m, dtype=np.float64))
+    points = sensor.flange_p
+    # The rows of three unit gradients are the derivative of the point.
+    axes = [sensor.rows(np.broadcast_to(axis, points.shape), values) for axis in np.eye(3)]
+    parts = {name: np.stack([rows[name] for rows in axes], axis=1) for name in axes[0]}
     if arm is not None and joints_rad is not None:
         actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
         flange, _, parameter_twist = actual.jacobians(joints_rad)
@@ -286,7 +306,7 @@ def _moved(rotation: FloatArray, points: FloatArray) -> FloatArray:
 
 def _pose_rows(gradient: FloatArray, points: FloatArray) -> FloatArray:
     """g^T [I | -[p]x] (m, 6): gradient and points in the perturbed frame."""
-    return np.concatenate([gradient, np.cross(points, gradient)], axis=1)
+    return np.concatenate([gradient, cross(points, gradient)], axis=1)
 
 
 def _pose(values: Mapping[str, Value], name: str) -> Transform:

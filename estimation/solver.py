@@ -1,5 +1,6 @@
 """Joint MAP estimate of a belief from observations: damped Gauss-Newton on the manifold."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2 as chi_square
 
-from estimation.belief import Belief, Block, Value
+from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
 from estimation.kinematics import ArmModel
 from estimation.measurement import Observations, Rows, evaluate, rows_at
 from estimation.observability import RankReport, rank_report
-from estimation.transform import FloatArray, Transform, exp_pose, skew
+from estimation.transform import FloatArray, Transform
 
 Robust = Literal["none", "huber", "cauchy"]
 LARGEST_REJECTED_SHARE: Final = 0.1
@@ -23,10 +24,12 @@ _LARGEST_ITERATIONS: Final = 50
 _REWEIGHTINGS: Final = 4  # passes with the noise variance taken at the latest estimate
 _ROBUST_PASSES: Final = 12
 _SMALLEST_VARIANCE: Final = 1e-30  # m^2: a row without any noise has no finite weight
+_FIRST_TOLERANCE: Final = 1e-2  # standard deviations, for passes that only prepare the next
 _ROUNDING: Final = 1e-14  # of the cost
 _ROUNDING_M: Final = 1e-15  # of a residual, coordinates being of the size of a metre
 _POLISHING_STEPS: Final = 3
 _LARGEST_DAMPING: Final = 1e12
+_EYE: Final = np.eye(3)
 _NEAR_START: Final = "Check that the nominal poses in the cell file are near the real ones, and the readings"
 
 
@@ -105,7 +108,7 @@ def update(
     phase: str = "",
     robust: Robust = "none",
     reject_level: float | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-7,
 ) -> Update:
     """MAP estimate of all blocks from the belief as prior and the observations.
 
@@ -168,6 +171,9 @@ def predicted_belief(
     return belief.replaced({}, _posterior(belief, identity, rows.dense(belief), rows.noise, phase))
 
 
+_Point = tuple[FloatArray, Rows, FloatArray]  # z, rows there, Jacobian (m, n) by z
+
+
 class _Problem:
     """The prior as a chart: r0 = L z with z ~ N(0, I), and rows as functions of z."""
 
@@ -176,22 +182,37 @@ class _Problem:
         self.root = _square_root(belief.covariance)
         self.rows = sum(len(batch) for batch in observations)
 
-    def values(self, z: FloatArray) -> dict[str, Value]:
+    def at(self, z: FloatArray) -> tuple[dict[str, Value], dict[str, FloatArray]]:
+        """Values at z, and for each pose B^-1 (6, a): a change of r0 as a right perturbation there."""
         deviation = self.root @ z
-        return {
-            block.name: _moved(block, deviation[self.belief.index(block.name)])
-            for block in self.belief.blocks
-        }
+        values: dict[str, Value] = {}
+        charts: dict[str, FloatArray] = {}
+        for block in self.belief.blocks:
+            change = deviation[self.belief.index(block.name)]
+            if isinstance(block.value, Transform):
+                xi = np.zeros(6)
+                xi[block.active] = change
+                rotation, right = rotation_and_right_jacobian(xi[3:])
+                moved = np.eye(4)
+                moved[:3, :3], moved[:3, 3] = rotation, xi[:3]
+                inverse = np.zeros((6, 6))
+                inverse[:3, :3], inverse[3:, 3:] = rotation.T, right
+                values[block.name] = Transform(
+                    block.value.target, block.value.source, block.value.matrix @ moved
+                )
+                charts[block.name] = inverse[:, block.active]
+            else:
+                values[block.name] = block.value + change
+        return values, charts
 
     def evaluate(self, z: FloatArray) -> tuple[Rows, FloatArray]:
         """Rows at z, and their Jacobian (m, n) by z."""
-        rows = rows_at(self.values(z), self.arm, self.observations)
-        deviation = self.root @ z
+        values, charts = self.at(z)
+        rows = rows_at(values, self.arm, self.observations)
         dense = np.zeros((self.rows, self.belief.size))
         for name, matrix in rows.jacobian.items():
             if name in self.belief:
-                place, block = self.belief.index(name), self.belief.block(name)
-                dense[:, place] = matrix @ _chart_jacobian(block, deviation[place])[:, block.active]
+                dense[:, self.belief.index(name)] = matrix @ charts[name] if name in charts else matrix
         if not np.isfinite(rows.residual_m).all() or not np.isfinite(dense).all():
             raise EstimationError("A residual is not a finite number", "Check joints, readings and priors")
         return rows, dense @ self.root
@@ -201,16 +222,17 @@ class _Problem:
 class _Fit:
     z: FloatArray
     rows: Rows
+    jacobian: FloatArray  # (m, n) by z
     used: NDArray[np.bool_]
     costs: tuple[tuple[float, ...], ...]
     stop_reason: str
 
 
 def _solve(
-    problem: _Problem, z: FloatArray, weight: FloatArray, tolerance: float
-) -> tuple[FloatArray, Rows, tuple[float, ...], str]:
+    problem: _Problem, start: _Point, weight: FloatArray, tolerance: float
+) -> tuple[_Point, tuple[float, ...], str]:
     """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds |z|^2."""
-    rows, jacobian = problem.evaluate(z)
+    z, rows, jacobian = start
     residual = weight * rows.residual_m
     cost = float(residual @ residual + z @ z)
     costs, damping, growth, last_step, polished = [cost], 0.0, 2.0, np.inf, 0
@@ -222,9 +244,9 @@ def _solve(
         expected = float(-gradient @ newton)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
-            return z, rows, tuple(costs), "step and gradient small"
+            return (z, rows, jacobian), tuple(costs), "step and gradient small"
         if polished >= _POLISHING_STEPS:
-            return z, rows, tuple(costs), "cost at its rounding"
+            return (z, rows, jacobian), tuple(costs), "cost at its rounding"
         # Below the rounding of the cost no step can prove that it helps: take a few in good faith.
         rounding = _ROUNDING_M * float(np.linalg.norm(residual * weight)) + _ROUNDING * cost
         at_floor = expected <= rounding
@@ -261,32 +283,35 @@ def _solve(
 
 def _reweighted(problem: _Problem, z: FloatArray, used: NDArray[np.bool_], tolerance: float) -> _Fit:
     """Passes with the noise variance taken at the estimate, until it stands still."""
-    variance = _variance(problem.evaluate(z)[0])
+    point: _Point = (z, *problem.evaluate(z))
+    variance = _variance(point[1])
     costs: list[tuple[float, ...]] = []
-    for _ in range(_REWEIGHTINGS):
-        z, rows, course, reason = _solve(problem, z, used / np.sqrt(variance), tolerance)
+    for number in range(_REWEIGHTINGS):
+        # The first variance is that of the prior's values: no use in converging to the last digit with it.
+        limit = tolerance if number else max(tolerance, _FIRST_TOLERANCE)
+        point, course, reason = _solve(problem, point, used / np.sqrt(variance), limit)
         costs.append(course)
-        latest = _variance(rows)
-        settled = np.max(np.abs(latest / variance - 1.0)) < 1e-3 * np.sqrt(tolerance)
+        latest = _variance(point[1])
+        settled = np.max(np.abs(latest / variance - 1.0)) < tolerance
         variance = latest
-        if settled:
+        if settled and number:
             break
-    return _Fit(z, rows, used, tuple(costs), reason)
+    return _Fit(*point, used, tuple(costs), reason)
 
 
 def _robust_start(problem: _Problem, z: FloatArray, robust: Robust) -> FloatArray:
     """Iteratively reweighted least squares; only a start, so loose and few passes."""
     limit = _TUNING[robust]
+    point: _Point = (z, *problem.evaluate(z))
     for _ in range(_ROBUST_PASSES):
-        rows, _ = problem.evaluate(z)
+        before, rows, _ = point
         sigma = np.sqrt(_variance(rows))
         size = np.abs(rows.residual_m) / sigma / limit
         weight = np.maximum(size, 1.0) ** -0.5 if robust == "huber" else (1.0 + size**2) ** -0.5
-        before = z
-        z = _solve(problem, z, weight / sigma, 1e-3)[0]
-        if np.max(np.abs(z - before), initial=0.0) < 1e-3:
+        point = _solve(problem, point, weight / sigma, _FIRST_TOLERANCE)[0]
+        if np.max(np.abs(point[0] - before), initial=0.0) < _FIRST_TOLERANCE:
             break
-    return z
+    return point[0]
 
 
 def _gated(problem: _Problem, fit: _Fit | None, z: FloatArray, level: float, tolerance: float) -> _Fit:
@@ -297,8 +322,7 @@ def _gated(problem: _Problem, fit: _Fit | None, z: FloatArray, level: float, tol
         used = rows.residual_m**2 / _innovation_variance(rows, jacobian, None) <= limit
         fit = _reweighted(problem, z, _within_share(used), tolerance)
     for _ in range(int(LARGEST_REJECTED_SHARE * problem.rows) + 3):
-        rows, jacobian = problem.evaluate(fit.z)
-        squared = _mahalanobis(rows, jacobian, fit.used)
+        squared = _mahalanobis(fit.rows, fit.jacobian, fit.used)
         # Rows may come back, and only the worst leaves at a time: it drags honest rows over the limit.
         used = fit.used | (squared <= limit)
         worst = int(np.argmax(np.where(used, squared, -1.0)))
@@ -344,13 +368,11 @@ def _spread(jacobian: FloatArray, variance: FloatArray, used: NDArray[np.bool_])
 
 def _result(problem: _Problem, fit: _Fit, targets: Sequence[str], phase: str) -> Update:
     belief, rows, used = problem.belief, fit.rows, fit.used
-    values = problem.values(fit.z)
-    deviation = problem.root @ fit.z
-    chart = np.zeros((belief.size, belief.size))
-    for block in belief.blocks:
-        place = belief.index(block.name)
-        local = _chart_jacobian(block, deviation[place])
-        chart[place, place] = local[np.ix_(block.active, block.active)]
+    values, charts = problem.at(fit.z)
+    chart = np.eye(belief.size)
+    for name, inverse in charts.items():
+        place = belief.index(name)
+        chart[place, place] = inverse[belief.block(name).active]
     at_posterior = belief.replaced(values, belief.contributions)
     dense = rows.dense(at_posterior)
     noise = {source: variance[used] for source, variance in rows.noise.items()}
@@ -417,35 +439,16 @@ def _square_root(covariance: FloatArray) -> FloatArray:
     return scale[:, None] * root
 
 
-def _moved(block: Block, deviation: FloatArray) -> Value:
-    if isinstance(block.value, Transform):
-        xi = np.zeros(6)
-        xi[block.active] = deviation
-        return block.value.perturbed(xi)
-    return block.value + deviation
-
-
-def _chart_jacobian(block: Block, deviation: FloatArray) -> FloatArray:
-    """B^-1: a change of r0 as a right perturbation at the present value; identity for a vector."""
-    if not isinstance(block.value, Transform):
-        return np.eye(len(deviation))
-    xi = np.zeros(6)
-    xi[block.active] = deviation
-    inverse = np.zeros((6, 6))
-    inverse[:3, :3] = exp_pose(xi)[:3, :3].T
-    inverse[3:, 3:] = right_jacobian(xi[3:])
-    return inverse
-
-
-def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
-    """Jr (3, 3): Exp(phi + d) = Exp(phi) Exp(Jr d), to first order in d; rad."""
-    angle = float(np.linalg.norm(rotation_rad))
-    cross = skew(rotation_rad)
-    if angle < 1e-4:  # the series is exact to rounding here, the closed form is not
-        return np.eye(3) - cross / 2.0 + cross @ cross / 6.0
-    right: FloatArray = (
-        np.eye(3)
-        - (1.0 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
-    return right
+def rotation_and_right_jacobian(rotation_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Exp(phi) and Jr(phi), (3, 3) each: Exp(phi + d) = Exp(phi) Exp(Jr d), to first order in d; rad."""
+    x, y, z = rotation_rad.tolist()
+    angle2 = x * x + y * y + z * z
+    angle = math.sqrt(angle2)
+    if angle < 1e-3:  # the series are exact to rounding here, the closed forms are not
+        first, second, third = 1 - angle2 / 6, 0.5 - angle2 / 24, 1 / 6 - angle2 / 120
+    else:
+        first, second = math.sin(angle) / angle, (1 - math.cos(angle)) / angle2
+        third = (angle - math.sin(angle)) / (angle2 * angle)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    squared = cross @ cross
+    return _EYE + first * cross + second * squared, _EYE - second * cross + third * squared

@@ -173,6 +173,8 @@ class FeatureTable:
     axis: FloatArray  # (f, 3)
     radius_m: FloatArray  # (f,)
     sign: FloatArray  # (f,)
+    curved: bool  # any feature is not a plane
+    tilted: bool  # any feature has a tilt
     shift: FloatArray  # (f, 3, p)
     tilt: FloatArray  # (f, 3, p)
     offset: FloatArray  # (f, p)
@@ -205,6 +207,8 @@ def feature_table(features: tuple[Feature, ...]) -> FeatureTable:
         axis=np.array([feature.axis for feature in features]).reshape(count, 3),
         radius_m=np.array([feature.radius_m for feature in features]),
         sign=np.array([feature.radius_sign for feature in features]),
+        curved=any(feature.kind != "plane" for feature in features),
+        tilted=bool(tilt.any()),
         shift=shift,
         tilt=tilt,
         offset=offset,
@@ -236,31 +240,53 @@ def signed_distance(
     """
     table = feature_table(features)
     values = np.zeros(table.offset.shape[1]) if parameters is None else parameters
-    shift_map, tilt_map, offset_map = table.shift[index], table.tilt[index], table.offset[index]
-    tilt = tilt_map @ values
-    arm = object_p - table.point_m[index] - shift_map @ values
-    local = arm - np.cross(tilt, arm)  # the feature turns by +tilt: the point by -tilt about it
-    kind, axis, sign = table.kind[index], table.axis[index], table.sign[index]
-    along = np.einsum("ij,ij->i", local, axis)
-    across = local - np.where(kind == KINDS.index("cylinder"), along, 0.0)[:, None] * axis
+    arm = object_p - (table.point_m + table.shift @ values)[index]
+    if not table.tilted:
+        distance, gradient = _untilted(features, table, index, arm)
+        turned = 0.0
+    else:
+        tilt = (table.tilt @ values)[index]
+        # The feature turns by +tilt, so in its own frame the point turns by -tilt about it.
+        distance, normal = _untilted(features, table, index, arm - cross(tilt, arm))
+        gradient = normal + cross(tilt, normal)
+        turned = np.einsum("ij,ijk->ik", cross(arm, normal), table.tilt[index])
+    offset = table.offset[index]
+    deviation = -np.einsum("ij,ijk->ik", gradient, table.shift[index]) - turned - offset
+    return SignedDistance(distance - offset @ values, gradient, deviation)
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a x b for rows of 3; an eighth of the time of numpy's, which counts in the inner loop."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    ax, ay, az, bx, by, bz = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
+    product[..., 0] = ay * bz - az * by
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
+    return product
+
+
+def _untilted(
+    features: tuple[Feature, ...], table: FeatureTable, index: NDArray[np.intp], arm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distance (m,) and unit gradient (m, 3) at points `arm` (m, 3) from the points of their features."""
+    axis = table.axis[index]
+    along: FloatArray = np.einsum("ij,ij->i", arm, axis)
+    if not table.curved:
+        return along, axis
+    kind, sign = table.kind[index], table.sign[index]
     curved = kind != KINDS.index("plane")
+    across = arm - np.where(kind == KINDS.index("cylinder"), along, 0.0)[:, None] * axis
     radial = np.sqrt(np.einsum("ij,ij->i", across, across))
-    if np.any(curved & (radial < _SMALLEST_RADIUS_M)):
-        name = features[int(index[np.argmax(curved & (radial < _SMALLEST_RADIUS_M))])].name
+    centred = curved & (radial < _SMALLEST_RADIUS_M)
+    if centred.any():
         raise DegenerateGeometry(
-            f"A point lies within {_SMALLEST_RADIUS_M * 1e9:.0f} nm of the centre or axis of {name}",
+            f"A point lies within {_SMALLEST_RADIUS_M * 1e9:.0f} nm of the centre or axis of "
+            f"{features[int(index[np.argmax(centred)])].name}",
             "Measure on the surface",
         )
-    outwards = sign[:, None] * across / np.where(curved, radial, 1.0)[:, None]
+    outwards = (sign / np.where(curved, radial, 1.0))[:, None] * across
     normal = np.where(curved[:, None], outwards, axis)
-    distance = np.where(curved, sign * (radial - table.radius_m[index]), along) - offset_map @ values
-    gradient = normal + np.cross(tilt, normal)
-    deviation = (
-        -np.einsum("ij,ijk->ik", gradient, shift_map)
-        - np.einsum("ij,ijk->ik", np.cross(arm, normal), tilt_map)
-        - offset_map
-    )
-    return SignedDistance(distance, gradient, deviation)
+    return np.where(curved, sign * (radial - table.radius_m[index]), along), normal
 
 
 def _vector(values: Sequence[float] | FloatArray) -> Vector:
