@@ -177,7 +177,7 @@ def joint_variance(cell: Cell, readings: int) -> float:
 
 
 def observations(cell: Cell, samples: Sequence[Sample]) -> list[Observations]:
-    """Samples as the estimator takes them, one batch per sensor and object, in the order of first appearance."""
+    """Samples as the estimator takes them: one batch per sensor and object, by first appearance."""
     groups: dict[tuple[Literal["laser", "probe"], str], list[Sample]] = {}
     for sample in samples:
         sensor: Literal["laser", "probe"] = "probe" if sample.kind == "touch" else "laser"
@@ -188,7 +188,8 @@ def observations(cell: Cell, samples: Sequence[Sample]) -> list[Observations]:
 def _batch(
     cell: Cell, sensor: Literal["laser", "probe"], name: str, samples: Sequence[Sample]
 ) -> Observations:
-    features = object_features(cell, name)
+    measured = {sample.feature for sample in samples}
+    features = tuple(feature for feature in object_features(cell, name) if feature.name in measured)
     place = {feature.name: i for i, feature in enumerate(features)}
     count, joints = len(samples), len(samples[0].joints_rad)
     variance = np.array([joint_variance(cell, sample.joint_readings) for sample in samples])
