@@ -178,14 +178,14 @@ class SimulatedArm:
             return None
         return tuple([drive.motion.phase_number(time_s) for drive in self.drives])
 
-    def plan_key(self, time_s: float) -> tuple[int, ...]:
-        """Changes when any joint enters another phase of its motion, or another plan."""
-        return tuple([drive.motion.phase_number(time_s) for drive in self.drives])
+    def rests_until(self, time_s: float) -> float:
+        """When the arm's standstill of that instant ends, as known now; the instant itself while it moves."""
+        return min([drive.motion.rests_until(time_s) for drive in self.drives])
 
-    def rest_end_s(self) -> float:
-        """When the last joint comes to rest, as planned now."""
-        return max(drive.motion.end_s for drive in self.drives)
+    def speed_bounds_rad_s(self, time_s: float) -> FloatArray:
+        """No joint (n,) is faster from then on, as planned now."""
+        return np.array([drive.motion.speed_bound(time_s) for drive in self.drives]) * COUNT_RAD
 
-    def speed_bound_rad_s(self) -> float:
-        """No joint is faster than this in the present plans; they add up over the joints."""
-        return sum(drive.motion.peak_speed for drive in self.drives) * COUNT_RAD
+    def plans(self) -> int:
+        """Changes whenever the plan of any joint does."""
+        return sum([drive.motion.plans for drive in self.drives])

@@ -76,9 +76,9 @@ class AxisMotion:
     def __init__(self, position: float) -> None:
         self._starts = [-math.inf]
         self._phases = [Phase(0.0, position, 0.0, 0.0)]
-        self.peak_speed = 0.0  # of the present plan
         self.end_s = -math.inf  # when the present plan comes to rest
         self.target = position
+        self.plans = 0  # how often the plan changed
 
     def follow(self, phases: list[Phase]) -> None:
         """Replace what was planned from the first phase's start on; the last phase is rest."""
@@ -89,7 +89,7 @@ class AxisMotion:
         self._starts += [phase.start_s for phase in phases]
         self._phases += phases
         self.end_s, self.target = phases[-1].start_s, phases[-1].position
-        self.peak_speed = max(abs(phase.velocity) for phase in phases)
+        self.plans += 1
         if len(self._starts) > KEPT_PHASES:
             del self._starts[1 : KEPT_PHASES // 2], self._phases[1 : KEPT_PHASES // 2]
 
@@ -112,3 +112,15 @@ class AxisMotion:
 
     def moving(self, time_s: float) -> bool:
         return time_s < self.end_s
+
+    def rests_until(self, time_s: float) -> float:
+        """When the standstill that holds at `time_s` ends; that instant itself while it moves."""
+        number = self.phase_number(time_s)
+        _, _, v, a = self._phases[number]
+        if v or a:
+            return time_s
+        return self._starts[number + 1] if number + 1 < len(self._starts) else math.inf
+
+    def speed_bound(self, time_s: float) -> float:
+        """The axis is never faster from then on, as planned now."""
+        return max([abs(phase.velocity) for phase in self._phases[self.phase_number(time_s) :]])

@@ -5,10 +5,12 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 from estimation.errors import DeviceError
-from simulators.arm import Frame, SimulatedArm
+from simulators.arm import Frame
+from simulators.cell import CellModel
 
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
 
@@ -69,6 +71,19 @@ class ByteDevice(Protocol):
         """Forget what was sent by then."""
 
 
+class CanDevice(Protocol):
+    """A simulated device on a CAN bus."""
+
+    def receive(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A frame from the master."""
+
+    def next_output_s(self) -> float:
+        """Nothing comes before this, if the master stays silent."""
+
+    def take(self, time_s: float) -> Frame | None:
+        """The oldest frame that was on the bus by then."""
+
+
 class _VirtualLink:
     """What both kinds of link share: being unplugged, and waiting."""
 
@@ -113,7 +128,7 @@ class _VirtualLink:
 class VirtualCanLink(_VirtualLink):
     """A CanLink onto the simulated arm."""
 
-    def __init__(self, name: str, clock: VirtualClock, arm: SimulatedArm) -> None:
+    def __init__(self, name: str, clock: VirtualClock, arm: CanDevice) -> None:
         super().__init__(name, clock)
         self._arm = arm
 
@@ -180,3 +195,32 @@ class VirtualByteLink(_VirtualLink):
     def reopen(self) -> None:
         super().reopen()
         self.discard_input()
+
+
+class SimulatedCell:
+    """A whole cell in memory: give its links and its clock to the drivers.
+
+    `scenario` and the factors are those of `CellModel`. The cell's own parts are in `model`.
+    """
+
+    def __init__(
+        self,
+        world_dir: Path,
+        seed: int,
+        scenario: str = "honest",
+        motion_speed: float = 1.0,
+        error_factor: float = 1.0,
+        noise_factor: float = 1.0,
+        cache_dir: Path | None = None,
+    ) -> None:
+        self.clock = VirtualClock()
+        self.model = CellModel(world_dir, seed, scenario, motion_speed, error_factor, noise_factor, cache_dir)
+        self.truth, self.world = self.model.truth, self.model.world
+        self.arm, self.contact = self.model.arm, self.model.contact
+        self.arm_link = VirtualCanLink("arm", self.clock, self.model.arm)
+        self.laser_link = VirtualByteLink("laser", self.clock, self.model.laser)
+        self.probe_link = VirtualByteLink("probe", self.clock, self.model.probe)
+
+    def bump(self) -> None:
+        """Knock the laser as the scenario says."""
+        self.model.bump()

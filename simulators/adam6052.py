@@ -1,0 +1,177 @@
+"""Advantech ADAM-6052 remote I/O: the touch probe's switch on a counter input, behind Modbus TCP.
+
+Framing and PDUs are pymodbus's; what the registers hold is from the manual's tables.
+"""
+
+import logging
+import math
+from collections import deque
+from typing import Any, Final, Protocol
+
+from pymodbus.constants import ExcCodes
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu import bit_message as bits
+from pymodbus.pdu import register_message as registers
+
+INPUTS: Final = 8
+OUTPUTS: Final = range(16, 24)
+CONTROL_COILS: Final = 32  # four per channel: start, clear counter, clear overflow, clear latch
+INPUT_WORD: Final = 300
+OUTPUT_WORD: Final = 302
+NAME: Final = (210, 211)
+KNOWN_FUNCTIONS: Final = (1, 2, 3, 4, 5, 6, 15, 16)
+UNIT: Final = 1
+
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps frames on every refused request
+
+
+class Switch(Protocol):
+    """What is wired to the counting input."""
+
+    closed: bool
+    count: int
+
+    def update(self, time_s: float) -> None:
+        """Bring `closed` and `count` up to that instant."""
+
+
+class Adam6052:
+    """The device end of one connection; inputs are sampled when a request arrives."""
+
+    def __init__(self, switch: Switch, model: int, channel: int, reply_delay_s: float) -> None:
+        self._switch, self._model, self._channel = switch, model, channel
+        self._reply_delay_s = reply_delay_s
+        self._framer = FramerSocket(DecodePDU(is_server=True))
+        self._input = b""
+        self._output: deque[tuple[float, bytes]] = deque()
+        self._outputs = 0  # bits
+        self._counter_base = [0] * INPUTS
+        self.extra_counts = 0  # bounce, added by hand
+
+    # -- stream ----------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, time_s: float) -> None:
+        """Bytes from the client, however they are cut."""
+        self._input += data
+        while self._input:
+            try:
+                used, request = self._framer.handleFrame(self._input, 0, 0)
+            except ModbusException:
+                self._refuse(time_s)
+                continue
+            if request is None and not used:
+                if self._input[2:4] not in (b"", b"\0", b"\0\0"):
+                    self._input = b""  # not Modbus: the device would close the connection
+                return
+            self._input = self._input[used:]
+            if request is not None:
+                self._send(self._answer(request, time_s), request.transaction_id, request.dev_id, time_s)
+
+    def _refuse(self, time_s: float) -> None:
+        """A function that the device does not have."""
+        frame = self._input
+        length = 6 + int.from_bytes(frame[4:6], "big")
+        answer = ExceptionResponse(frame[7] & 0x7F, ExcCodes.ILLEGAL_FUNCTION)
+        self._input = frame[length:]
+        self._send(answer, int.from_bytes(frame[0:2], "big"), frame[6], time_s)
+
+    def _send(self, answer: ModbusPDU, transaction: int, unit: int, time_s: float) -> None:
+        answer.transaction_id, answer.dev_id = transaction, unit
+        self._output.append((time_s + self._reply_delay_s, self._framer.buildFrame(answer)))
+
+    def next_output_s(self) -> float:
+        """When the next answer leaves."""
+        return self._output[0][0] if self._output else math.inf
+
+    def take(self, time_s: float) -> bytes:
+        """All answers that left by then."""
+        data = b""
+        while self._output and self._output[0][0] <= time_s:
+            data += self._output.popleft()[1]
+        return data
+
+    def discard(self, time_s: float) -> None:
+        """Forget the answers that left by then."""
+        self.take(time_s)
+
+    # -- registers -------------------------------------------------------------------------------
+
+    def _answer(self, request: ModbusPDU, time_s: float) -> ModbusPDU:
+        code, address, count = request.function_code, request.address, request.count
+        self._switch.update(time_s)
+        if code in (1, 2):
+            states = [self._bit(address + i) for i in range(count)]
+            if None in states:
+                return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS)
+            kind = bits.ReadCoilsResponse if code == 1 else bits.ReadDiscreteInputsResponse
+            return kind(bits=[bool(state) for state in states])
+        if code in (3, 4):
+            words = [self._word(address + i) for i in range(count)]
+            if None in words:
+                return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS)
+            reading: Any = (
+                registers.ReadHoldingRegistersResponse if code == 3 else registers.ReadInputRegistersResponse
+            )
+            return reading(registers=words)  # type: ignore[no-any-return]
+        if code == 5 and self._set_coil(address, bool(request.bits[0])):
+            return bits.WriteSingleCoilResponse(address=address, bits=request.bits)
+        if code == 15 and all(
+            self._set_coil(address + i, bool(state)) for i, state in enumerate(request.bits[:count])
+        ):
+            return bits.WriteMultipleCoilsResponse(address=address, count=count)
+        if code == 6 and self._set_word(address, request.registers[0]):
+            return registers.WriteSingleRegisterResponse(address=address, registers=request.registers)
+        if code == 16 and all(
+            self._set_word(address + i, value) for i, value in enumerate(request.registers)
+        ):
+            return registers.WriteMultipleRegistersResponse(address=address, count=count)
+        known = code in KNOWN_FUNCTIONS
+        return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS if known else ExcCodes.ILLEGAL_FUNCTION)
+
+    def _counter(self, channel: int) -> int:
+        edges = self._switch.count + self.extra_counts if channel == self._channel else 0
+        return (edges - self._counter_base[channel]) & 0xFFFFFFFF
+
+    def _inputs(self) -> int:
+        return int(self._switch.closed) << self._channel
+
+    def _bit(self, address: int) -> bool | None:
+        if 0 <= address < INPUTS:
+            return bool(self._inputs() >> address & 1)
+        if address in OUTPUTS:
+            return bool(self._outputs >> (address - OUTPUTS.start) & 1)
+        if CONTROL_COILS <= address < CONTROL_COILS + 4 * INPUTS:
+            return (address - CONTROL_COILS) % 4 == 0  # counting
+        return None
+
+    def _word(self, address: int) -> int | None:
+        if 0 <= address < 2 * INPUTS:
+            return self._counter(address // 2) >> 16 * (address % 2) & 0xFFFF  # low word first
+        if address == INPUT_WORD:
+            return self._inputs()
+        if address == OUTPUT_WORD:
+            return self._outputs
+        if address in NAME:
+            return self._model if address == NAME[0] else 0
+        return None
+
+    def _set_coil(self, address: int, state: bool) -> bool:
+        if address in OUTPUTS:
+            mask = 1 << (address - OUTPUTS.start)
+            self._outputs = self._outputs | mask if state else self._outputs & ~mask
+            return True
+        if CONTROL_COILS <= address < CONTROL_COILS + 4 * INPUTS:
+            channel, what = divmod(address - CONTROL_COILS, 4)
+            if what == 1 and state:
+                self._counter_base[channel] = 0
+                self._counter_base[channel] = self._counter(channel)
+            return True
+        return False
+
+    def _set_word(self, address: int, value: int) -> bool:
+        if address == OUTPUT_WORD:
+            self._outputs = value & 0xFF
+            return True
+        return False

@@ -1,0 +1,63 @@
+"""One simulated cell: world, truth and the three devices, put together for a seed and a scenario."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimation.errors import CellFileError
+from simulators.adam6052 import Adam6052
+from simulators.arm import SimulatedArm
+from simulators.contact import StylusContact
+from simulators.optoncdt import OptoNcdt1420
+from simulators.truth import draw_truth, stream
+from simulators.world import World
+from simulators.world_file import read_world_file
+
+
+class CellModel:
+    """The devices, wired to one world.
+
+    `motion_speed` shortens fast moves; `error_factor` and `noise_factor` 0 make a nominal, silent cell.
+    Raises CellFileError.
+    """
+
+    def __init__(
+        self,
+        world_dir: Path,
+        seed: int,
+        scenario: str = "honest",
+        motion_speed: float = 1.0,
+        error_factor: float = 1.0,
+        noise_factor: float = 1.0,
+        cache_dir: Path | None = None,
+    ) -> None:
+        self.file = file = read_world_file(world_dir)
+        if scenario not in file.scenarios:
+            known = ", ".join(file.scenarios)
+            raise CellFileError(f"No scenario {scenario!r} in world.toml", f"Choose one of {known}")
+        self.scenario = file.scenarios[scenario]
+        self.truth = draw_truth(file, seed, error_factor)
+        joints = len(file.arm.nodes)
+        factors = np.array(self.scenario.joint_noise_factors or [1.0] * joints) * noise_factor
+        self.arm = SimulatedArm(file.arm, stream(seed, "noise.joints"), factors, motion_speed)
+        self.world = World(file, self.truth, self.arm, noise_factor, self.scenario.part_present, cache_dir)
+        self.laser = OptoNcdt1420(
+            file.laser,
+            self.world,
+            self.truth.laser_scale,
+            self.truth.laser_offset_m,
+            stream(seed, "noise.laser.reading"),
+            noise_factor,
+        )
+        self.contact = StylusContact(self.world, self.arm)
+        self.probe = Adam6052(self.contact, file.probe.model, file.probe.channel, file.probe.reply_delay_s)
+
+    def bump(self) -> None:
+        """Knock the laser as the scenario says."""
+        self.world.bump_laser(self.scenario.bump_translation_m, self.scenario.bump_rotation_rad)
+
+    def truth_json(self) -> dict[str, Any]:
+        """What only the demo and the tests may know."""
+        bump = [*self.scenario.bump_translation_m.tolist(), *self.scenario.bump_rotation_rad.tolist()]
+        return {**self.truth.to_json(), "scenario": self.scenario.name, "bump": bump}
