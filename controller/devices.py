@@ -1,0 +1,58 @@
+"""The drivers of a cell, from its file and three links: the same for real ports and the deterministic cell."""
+
+from controller.cellfile import Cell
+from drivers.adam6052 import AdamProbe, ProbeConfig
+from drivers.canopen_arm import CanopenArm
+from drivers.canopen_arm_setup import ArmConfig
+from drivers.capabilities import Devices
+from drivers.clock import Clock
+from drivers.links import ByteLink, CanLink
+from drivers.optoncdt import LaserConfig, OptoncdtLaser
+
+
+def make_devices(
+    cell: Cell,
+    clock: Clock,
+    robot_link: CanLink,
+    laser_link: ByteLink,
+    probe_link: ByteLink,
+    *,
+    keep_alive_thread: bool,
+) -> Devices:
+    """Drivers that are not connected yet."""
+    robot, laser, probe = cell.robot, cell.laser, cell.probe
+    arm = CanopenArm(
+        robot_link,
+        ArmConfig(
+            node_ids=robot.nodes,
+            lower_rad=tuple(joint.limits_rad[0] for joint in robot.joints),
+            upper_rad=tuple(joint.limits_rad[1] for joint in robot.joints),
+            speed_limit_rad_s=(robot.speed_rad_s,) * len(robot.joints),
+            acceleration_limit_rad_s2=(robot.acceleration_rad_s2,) * len(robot.joints),
+            in_position_rad=robot.in_position_rad,
+            sync_period_s=robot.sync_period_s,
+            counts_per_rad=1.0 / robot.encoder_step_rad,
+            model=robot.model,
+        ),
+        clock,
+        keep_alive_thread=keep_alive_thread,
+    )
+    range_sensor = OptoncdtLaser(
+        laser_link,
+        LaserConfig(
+            range_m=laser.range_m,
+            range_start_m=laser.range_start_m,
+            rate_hz=laser.rate_hz,
+            baud=laser.baud,
+            model=laser.model,
+            serial_number=laser.serial_number,
+            noise_m=laser.reading_noise_m,
+        ),
+        clock,
+    )
+    touch_probe = AdamProbe(
+        probe_link,
+        ProbeConfig(channel=probe.channel, poll_period_s=probe.poll_period_s, model=probe.model),
+        clock,
+    )
+    return Devices(arm, range_sensor, touch_probe)
