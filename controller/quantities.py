@@ -20,7 +20,9 @@ from estimation.errors import CellError
 MAX_SHOWN_CHARACTERS: Final = 60
 
 # Only ASCII digits: `\d` would also take digits of other scripts.
-_QUANTITY = re.compile(r"(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>.*)")
+_QUANTITY = re.compile(
+    r"(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>[^0-9.,+\s-].*)?"
+)
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?!.*[,.])")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 _DEGREE: Final = Decimal("0.01745329251994329576923690768489")
@@ -130,7 +132,7 @@ def parse(value: object, dimension: Dimension) -> float:
     match = _QUANTITY.fullmatch(text)
     if match is None:
         raise QuantityError(f"{shown(value)}: not {dimension.name}", f"write for example {example}")
-    number, unit = match["number"], match["unit"]
+    number, unit = match["number"], match["unit"] or ""
     if not unit:
         raise QuantityError(f"{shown(value)}: unit missing", f'write "{number} {dimension.usual_unit}"')
     if unit not in dimension.units:
@@ -165,7 +167,7 @@ def shown(value: object) -> str:
 def dimension_of(value: object) -> Dimension | None:
     """The dimension that the unit of a written quantity belongs to, or None."""
     match = _QUANTITY.fullmatch(value.strip()) if isinstance(value, str) else None
-    return _dimension_of_unit(match["unit"]) if match else None
+    return _dimension_of_unit(match["unit"] or "") if match else None
 
 
 def _dimension_of_unit(unit: str) -> Dimension | None:

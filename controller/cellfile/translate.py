@@ -52,6 +52,8 @@ def mistakes_of(errors: list[ErrorDetails], source: Source) -> list[Mistake]:
         if error["type"] == "extra_forbidden" and (key := _nearest_key(path, source)) is not None:
             meant.add((*path[:-1], key))
     for path, error in located:
+        if error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"]:
+            continue  # pydantic counts only elements that are in order; the others are reported themselves
         if error["type"] != "missing" or isinstance(path[-1], int):
             mistakes.append(_mistake_of(error, path, source))
         elif not any(path[:length] in meant for length in range(1, len(path) + 1)):
