@@ -189,10 +189,11 @@ class OptoNcdt1420:
             self._reply("E214 Entered command is too long to be processed\r\n", time_s)
 
     def _reply(self, text: str, time_s: float) -> None:
+        self._output.append((self._reply_time(time_s), text.encode("latin-1") + b"->"))
+
+    def _reply_time(self, time_s: float) -> float:
         reply_s = self._burst(time_s + COMMAND_S, later=True)
-        if self._output:
-            reply_s = max(reply_s, self._output[-1][0])
-        self._output.append((reply_s, text.encode("latin-1") + b"->"))
+        return max(reply_s, self._output[-1][0]) if self._output else reply_s
 
     # -- commands --------------------------------------------------------------------------------
 
@@ -208,9 +209,9 @@ class OptoNcdt1420:
         if name == "GETINFO":
             return self._information()
         if name == "PRINT":
-            return "".join(f"{key} {value}\r\n" for key, value in self._settings.items())
+            return "PRINT\r\n" + "".join(f"{key} {value}\r\n" for key, value in self._settings.items())
         if name == "HELP":
-            return "".join(f"{key}\r\n" for key in ("GETINFO", "PRINT", "RESET", *CHOICES))
+            return "HELP\r\n" + "".join(f"{key}\r\n" for key in ("GETINFO", "PRINT", "RESET", *CHOICES))
         if name == "GETUSERLEVEL":
             return "GETUSERLEVEL PROFESSIONAL\r\n"
         if name == "RESETCNT":
@@ -237,7 +238,7 @@ class OptoNcdt1420:
                 return "E236 Value is out of range or the format is invalid\r\n"
             self._settings[name] = value
             if name in ("OUTPUT", "MEASRATE", "OUTREDUCEDEVICE", "OUTADD_RS422"):
-                self._start_stream(time_s)
+                self._start_stream(self._reply_time(time_s))  # values follow the reply
         if parameters and self._settings["ECHO"] == "OFF":
             return ""
         return f"{name} {self._settings[name]}\r\n"
@@ -245,6 +246,7 @@ class OptoNcdt1420:
     def _information(self) -> str:
         spec = self._spec
         return (
+            "GETINFO\r\n"
             f"Name: {spec.model}\r\n"
             f"Serial: {spec.serial_number}\r\n"
             "Option: 000\r\n"
