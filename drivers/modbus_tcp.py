@@ -82,20 +82,19 @@ class ModbusTcp:
 
     def read_input_registers(self, address: int, count: int) -> list[int]:
         """FC 4, input registers from a 0-based address."""
-        return list(
-            self._ask(ReadInputRegistersRequest(address=address, count=count), 1 + 2 * count).registers
-        )
-
-    def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """FC 3, holding registers from a 0-based address."""
-        request = ReadHoldingRegistersRequest(address=address, count=count)
+        request = ReadInputRegistersRequest(address=address, count=count)
         return list(self._ask(request, 1 + 2 * count).registers)
 
-    def _ask(self, request: Any, payload_bytes: int) -> ModbusPDU:
+    def read_holding_registers(self, address: int, count: int, tries: int | None = None) -> list[int]:
+        """FC 3, holding registers from a 0-based address."""
+        request = ReadHoldingRegistersRequest(address=address, count=count)
+        return list(self._ask(request, 1 + 2 * count, tries).registers)
+
+    def _ask(self, request: Any, payload_bytes: int, tries: int | None = None) -> ModbusPDU:
         """One answered request. Raises DeviceTimeout, FrameError, ModbusRefusal."""
         busy = 0
         failures = list[DeviceError]()
-        while len(failures) < self._tries:
+        while len(failures) < (tries or self._tries):
             try:
                 self._resynchronise()
                 reply = self._exchange(request, payload_bytes)
