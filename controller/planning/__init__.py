@@ -1,5 +1,6 @@
 """Planning: which measurements to take, so that the gated quantity becomes known well enough."""
 
+from controller.planning.checks import plan_bar_check, plan_noise
 from controller.planning.estimated import (
     more_hand_eye,
     more_localize,
@@ -8,6 +9,7 @@ from controller.planning.estimated import (
     plan_localize,
     plan_part_check,
 )
+from controller.planning.inspection import plan_inspect
 from controller.planning.plan import Plan
 from controller.planning.steps import Step
 
@@ -16,8 +18,11 @@ __all__ = [
     "Step",
     "more_hand_eye",
     "more_localize",
+    "plan_bar_check",
     "plan_coarse_localize",
     "plan_hand_eye",
+    "plan_inspect",
     "plan_localize",
+    "plan_noise",
     "plan_part_check",
 ]

@@ -1,13 +1,22 @@
 """Candidate measurements: where a beam can meet a surface in range, at a fair angle, clear of everything."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from controller.planning.faces import FaceSampler, beams_meet
-from controller.planning.poses import beam_poses, choose_joints, directions_around
-from controller.planning.workspace import SIGMAS, Candidates, Workspace, features_of, rows_of
+from controller.planning.poses import BoolArray, IntArray, beam_poses, choose_joints, directions_around
+from controller.planning.workspace import (
+    SIGMAS,
+    Candidates,
+    Workspace,
+    features_of,
+    range_variance,
+    rows_of,
+)
+from estimation.measurement import RANGE_NOISE
 from estimation.surfaces import Feature
 from estimation.transform import FloatArray
 
@@ -80,7 +89,7 @@ def mount_offset_m(workspace: Workspace) -> float:
 
 def occluded(
     workspace: Workspace, candidates: Candidates, displacements: Sequence[FloatArray] = ()
-) -> FloatArray:
+) -> BoolArray:
     """Which candidates (m,) fail a ray check against the part: another face is met first, or none in range.
 
     Each displacement (4, 4) is one part_T_displaced that must work as well as the believed place.
@@ -102,7 +111,7 @@ def aimed_beams(
     base_beam: FloatArray,
     spin_rad: FloatArray,
     distance_m: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, BoolArray]:
     """Joints (m, 6) for beams through points, and which (m,) can be taken clear of everything."""
     flange = beam_poses(base_p, base_beam, spin_rad, distance_m, workspace.pose("laser").matrix)
     joints, found = choose_joints(workspace.arm, flange, workspace.start_rad)
@@ -114,7 +123,7 @@ def _aimed(
     workspace: Workspace,
     name: str,
     features: tuple[Feature, ...],
-    index: FloatArray,
+    index: IntArray,
     points: FloatArray,
     normals: FloatArray,
     random: np.random.Generator,
@@ -129,31 +138,20 @@ def _aimed(
     beam = pose.vectors(-directions_around(normals, tilt, azimuth))
     joints, found = aimed_beams(workspace, pose.points(points), beam, spin, distance)
     drawn = Candidates("laser", name, features, joints, distance, index, points).take(np.flatnonzero(found))
-    return in_range(workspace, drawn)
+    expected, inside = in_range(workspace, drawn)
+    return expected.take(np.flatnonzero(inside))
 
 
-def in_range(workspace: Workspace, candidates: Candidates) -> Candidates:
-    """Those whose reading stays in the working range for all that is uncertain; readings as now expected."""
+def in_range(workspace: Workspace, candidates: Candidates) -> tuple[Candidates, BoolArray]:
+    """The candidates with readings as expected, and whether (m,) these surely stay in range."""
     if not len(candidates):
-        return candidates
+        return candidates, np.zeros(0, dtype=np.bool_)
     rows = rows_of(workspace, candidates)
     laser = workspace.cell.laser
-    variance = laser.noise_m**2 + laser.reading_noise_m**2 / 100
-    slope = np.sqrt(np.maximum(rows.noise["range noise"] / variance, 1e-6))  # cosine of the incidence
+    slope = np.sqrt(np.maximum(rows.noise[RANGE_NOISE] / range_variance(workspace.cell), 1e-6))  # cosine
     dense = rows.dense(workspace.belief)
-    spread = (
-        np.sqrt(np.einsum("mi,ij,mj->m", dense, workspace.belief.covariance, dense, optimize=True)) / slope
-    )
+    spread = np.sqrt(np.einsum("mi,mi->m", dense @ workspace.belief.covariance, dense)) / slope
     reading = candidates.reading_m + rows.residual_m / slope
     low, high = laser.working_range_m
     inside = (reading - SIGMAS * spread > low) & (reading + SIGMAS * spread < high)
-    expected = Candidates(
-        candidates.sensor,
-        candidates.object,
-        candidates.features,
-        candidates.joints_rad,
-        reading,
-        candidates.feature_index,
-        candidates.object_p_m,
-    )
-    return expected.take(np.flatnonzero(inside))
+    return replace(candidates, reading_m=reading), inside

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from controller.cellfile import Cell
+from controller.cellfile import Cell, job
 from controller.knowledge import part_corners_m
 from controller.planning.candidates import (
     EDGE_MARGIN_M,
@@ -15,8 +15,9 @@ from controller.planning.candidates import (
     plate_candidates,
 )
 from controller.planning.plan import Plan, accessible, gated_predictions, laser_steps
+from controller.planning.poses import BoolArray
 from controller.planning.selection import select
-from controller.planning.steps import Step
+from controller.planning.steps import Step, named
 from controller.planning.workspace import SIGMAS, Candidates, Workspace, observations_of, rows_of
 from estimation.belief import Belief
 from estimation.errors import CellError, Unreachable
@@ -26,10 +27,13 @@ from estimation.solver import predicted_belief
 from estimation.transform import FloatArray, exp_pose
 
 COARSE_COUNT: Final = 10
+COARSE_NOTE: Final = "coarse"
+ADDED_NOTE: Final = "added"
+CHECK_SEED: Final = 7919  # draws of its own
 _ROUNDS: Final = 8  # in which choices that turn out to be blocked are replaced
 _CORNERS: Final = tuple(f"corner {x}{y}{z}" for x in "-+" for y in "-+" for z in "-+")
 
-Blocked = Callable[[Candidates], FloatArray]
+Blocked = Callable[[Candidates], BoolArray]
 
 
 def plan_hand_eye(cell: Cell, belief: Belief, arm: ArmModel, count: int, seed: int) -> Plan:
@@ -37,14 +41,14 @@ def plan_hand_eye(cell: Cell, belief: Belief, arm: ArmModel, count: int, seed: i
 
     The belief holds the plate's block. The better the belief, the more of the working range is used.
     """
-    return _hand_eye(cell, belief, arm, count, seed, "")
+    return _hand_eye(cell, belief, arm, count, "", 0, seed)
 
 
 def more_hand_eye(
     cell: Cell, belief: Belief, arm: ArmModel, steps: Sequence[Step], count: int, seed: int
 ) -> Plan:
     """`count` further poses after those of `steps`, which the belief has used already."""
-    return _hand_eye(cell, belief, arm, count, seed + len(steps), "added")
+    return _hand_eye(cell, belief, arm, count, ADDED_NOTE, len(steps), seed)
 
 
 def hand_eye_points(belief: Belief, ranges_m: Sequence[float]) -> tuple[Points, tuple[str, ...]]:
@@ -54,64 +58,61 @@ def hand_eye_points(belief: Belief, ranges_m: Sequence[float]) -> tuple[Points, 
 
 
 def plan_coarse_localize(
-    cell: Cell, belief: Belief, arm: ArmModel, faces: Sequence[str], seed: int, count: int = COARSE_COUNT
+    cell: Cell, belief: Belief, arm: ArmModel, spec: job.LocalizePhase, seed: int, count: int = COARSE_COUNT
 ) -> Plan:
     """The first points on a part that was clamped by hand: each meets its face wherever the part may lie."""
     workspace = Workspace(cell, arm, belief)
-    margin_m = EDGE_MARGIN_M + workspace.part_offset_m() + SIGMAS * mount_offset_m(workspace)
-    pool = part_candidates(workspace, faces, seed, margin_m=margin_m)
+    pool = part_candidates(workspace, spec.faces, seed, margin_m=_margin_m(workspace))
     displacements = _displacements(cell)
-    limit = -(-count // len(faces)) + 1  # no face may be left out
+    face_limit = -(-count // len(spec.faces)) + 1  # no face may be left out
     return _part_plan(
-        workspace, pool, count, "coarse", limit, lambda chosen: occluded(workspace, chosen, displacements)
+        workspace,
+        pool,
+        count,
+        f"{spec.name} {COARSE_NOTE}",
+        COARSE_NOTE,
+        0,
+        lambda chosen: occluded(workspace, chosen, displacements),
+        face_limit,
     )
 
 
-def plan_localize(
-    cell: Cell, belief: Belief, arm: ArmModel, faces: Sequence[str], count: int, seed: int
-) -> Plan:
-    """The `count` points on the faces that leave the corners of the part most certain.
+def plan_localize(cell: Cell, belief: Belief, arm: ArmModel, spec: job.LocalizePhase, seed: int) -> Plan:
+    """The points on the faces that leave the corners of the part most certain.
 
     The belief has used the coarse points already, so that beams may go near the edges.
     """
-    workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, faces, seed, margin_m=_fine_margin_m(workspace))
-    return _part_plan(workspace, pool, count, "", 0, lambda chosen: occluded(workspace, chosen))
+    return _localize(cell, belief, arm, spec, spec.measurements, "", 0, seed)
 
 
 def more_localize(
     cell: Cell,
     belief: Belief,
     arm: ArmModel,
-    faces: Sequence[str],
+    spec: job.LocalizePhase,
     steps: Sequence[Step],
     count: int,
     seed: int,
 ) -> Plan:
     """`count` further points after those of `steps`, which the belief has used already."""
-    return plan_localize(cell, belief, arm, faces, count, seed + len(steps))
+    return _localize(cell, belief, arm, spec, count, ADDED_NOTE, len(steps), seed)
 
 
 def plan_part_check(
-    cell: Cell,
-    belief: Belief,
-    arm: ArmModel,
-    faces: Sequence[str],
-    count: int,
-    steps: Sequence[Step],
-    seed: int,
+    cell: Cell, belief: Belief, arm: ArmModel, spec: job.CheckPhase, steps: Sequence[Step], seed: int
 ) -> Plan:
-    """`count` points that no fit has used, on all faces, away from the used points and spread out."""
+    """Points that no fit has used, on all faces in turn, far from those of `steps` and from each other."""
+    checked = next(phase for phase in cell.job.phases if phase.name == spec.of)
+    faces = checked.faces if isinstance(checked, job.LocalizePhase) else ()
     workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, faces, seed + 7919, margin_m=_fine_margin_m(workspace))
+    pool = part_candidates(workspace, faces, seed + CHECK_SEED, margin_m=_margin_m(workspace))
     used = np.array([step.object_p_m for step in steps if step.object == "part" and step.kind == "laser"])
-    chosen: list[int] = []
     blocked = np.zeros(len(pool), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        chosen = _spread(pool, count, used.reshape(-1, 3), ~blocked)
+        chosen = _spread(pool, spec.points, used.reshape(-1, 3), ~blocked)
         bad = occluded(workspace, pool.take(chosen)) | ~accessible(workspace, pool.take(chosen))
         if not bad.any():
-            return Plan(laser_steps(workspace, pool.take(chosen), "check"))
+            return Plan(named(laser_steps(workspace, pool.take(chosen), "check"), spec.name))
         blocked[np.array(chosen)[bad]] = True
     raise _unreachable("check points on the part")
 
@@ -121,28 +122,63 @@ def corner_points(cell: Cell, belief: Belief) -> tuple[Points, tuple[str, ...]]:
     return object_point_jacobian(belief, "part", part_corners_m(cell)), _CORNERS
 
 
-def _hand_eye(cell: Cell, belief: Belief, arm: ArmModel, count: int, seed: int, note: str) -> Plan:
+def _hand_eye(
+    cell: Cell, belief: Belief, arm: ArmModel, count: int, note: str, first: int, seed: int
+) -> Plan:
+    spec = next((phase for phase in cell.job.phases if isinstance(phase, job.HandEyePhase)), None)
+    name = "hand-eye" if spec is None else spec.name
+    ranges_m = cell.laser.working_range_m if spec is None else spec.gated_ranges_m
     workspace = Workspace(cell, arm, belief)
-    pool = plate_candidates(workspace, seed)
-    points, names = hand_eye_points(belief, _gated_ranges_m(cell))
-    chosen = _choose(workspace, pool, points, count, 0, lambda some: np.zeros(len(some), dtype=np.bool_))
-    predicted = predicted_belief(belief, arm, [observations_of(workspace, chosen)], "hand-eye")
-    return Plan(laser_steps(workspace, chosen, note), gated_predictions(predicted, points, names), predicted)
+    pool = plate_candidates(workspace, seed + first)
+    points, names = hand_eye_points(belief, ranges_m)
+    chosen = choose(workspace, pool, points.jacobian, count)
+    predicted = predicted_belief(belief, arm, [observations_of(workspace, chosen)], name)
+    steps = named(laser_steps(workspace, chosen, note), name, first)
+    return Plan(steps, gated_predictions(predicted, points, names), predicted)
+
+
+def _localize(
+    cell: Cell,
+    belief: Belief,
+    arm: ArmModel,
+    spec: job.LocalizePhase,
+    count: int,
+    note: str,
+    first: int,
+    seed: int,
+) -> Plan:
+    workspace = Workspace(cell, arm, belief)
+    pool = part_candidates(workspace, spec.faces, seed + first, margin_m=_margin_m(workspace))
+    return _part_plan(
+        workspace, pool, count, spec.name, note, first, lambda chosen: occluded(workspace, chosen)
+    )
 
 
 def _part_plan(
-    workspace: Workspace, pool: Candidates, count: int, note: str, face_limit: int, blocked: Blocked
+    workspace: Workspace,
+    pool: Candidates,
+    count: int,
+    name: str,
+    note: str,
+    first: int,
+    blocked: Blocked,
+    face_limit: int = 0,
 ) -> Plan:
     points, names = corner_points(workspace.cell, workspace.belief)
-    chosen = _choose(workspace, pool, points, count, face_limit, blocked)
-    predicted = predicted_belief(
-        workspace.belief, workspace.arm, [observations_of(workspace, chosen)], "localization"
-    )
-    return Plan(laser_steps(workspace, chosen, note), gated_predictions(predicted, points, names), predicted)
+    chosen = choose(workspace, pool, points.jacobian, count, blocked, face_limit)
+    taken = [observations_of(workspace, chosen)]
+    predicted = predicted_belief(workspace.belief, workspace.arm, taken, name)
+    steps = named(laser_steps(workspace, chosen, note), name, first)
+    return Plan(steps, gated_predictions(predicted, points, names), predicted)
 
 
-def _choose(
-    workspace: Workspace, pool: Candidates, points: Points, count: int, face_limit: int, blocked: Blocked
+def choose(
+    workspace: Workspace,
+    pool: Candidates,
+    gates: FloatArray,
+    count: int,
+    blocked: Blocked | None = None,
+    face_limit: int = 0,
 ) -> Candidates:
     """The best candidates that can be approached and are not blocked."""
     for _ in range(_ROUNDS):
@@ -153,20 +189,22 @@ def _choose(
             workspace.belief.covariance,
             rows.dense(workspace.belief),
             rows.noise_variance,
-            points.jacobian,
+            gates,
             count,
-            group=pool.feature_index.astype(np.intp) if face_limit else None,
+            group=pool.feature_index if face_limit else None,
             group_limit=face_limit,
         )
         chosen = pool.take(selection.chosen)
-        bad = blocked(chosen) | ~accessible(workspace, chosen)
+        bad = ~accessible(workspace, chosen)
+        if blocked is not None:
+            bad |= blocked(chosen)
         if not bad.any():
             return chosen
         pool = pool.take(np.setdiff1d(np.arange(len(pool)), selection.chosen[bad]))
     raise _unreachable(f"{count} measurements of the {pool.object}")
 
 
-def _spread(pool: Candidates, count: int, used: FloatArray, open_: FloatArray) -> list[int]:
+def _spread(pool: Candidates, count: int, used: FloatArray, open_: BoolArray) -> list[int]:
     """Farthest points first, faces in turn: each far from the used ones and from each other."""
     taken = used
     chosen: list[int] = []
@@ -188,7 +226,8 @@ def _spread(pool: Candidates, count: int, used: FloatArray, open_: FloatArray) -
     return chosen
 
 
-def _fine_margin_m(workspace: Workspace) -> float:
+def _margin_m(workspace: Workspace) -> float:
+    """How far inside the edges a beam must aim to meet its face."""
     return EDGE_MARGIN_M + workspace.part_offset_m() + SIGMAS * mount_offset_m(workspace)
 
 
@@ -200,13 +239,6 @@ def _displacements(cell: Cell) -> list[FloatArray]:
         exp_pose(np.concatenate([part.position_limit_m * sign, part.rotation_limit_rad * np.roll(sign, 1)]))
         for sign in signs
     ]
-
-
-def _gated_ranges_m(cell: Cell) -> tuple[float, ...]:
-    for phase in cell.job.phases:
-        if phase.kind == "hand_eye":
-            return phase.gated_ranges_m
-    return cell.laser.working_range_m
 
 
 def _unreachable(what: str) -> CellError:

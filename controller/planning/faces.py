@@ -45,7 +45,7 @@ class FaceSampler:
         flip = u + v > 1.0
         u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
         points = first[chosen] + u * (second - first)[chosen] + v * (third - first)[chosen]
-        inside = points[self.edge_distance(points) > margin_m][:count]
+        inside: FloatArray = points[self.edge_distance(points) > margin_m][:count]
         if not len(inside):
             raise EstimationError(
                 f"Face {self.name} has no point farther than {margin_m * 1e3:.1f} mm from its edges",
@@ -74,11 +74,12 @@ class Met:
         """In the working range, at an incidence that the sensor stands."""
         low, high = laser.working_range_m
         fair = self.cosine > np.cos(laser.max_incidence_rad)
-        return (self.distance_m > low) & (self.distance_m < high) & fair
+        inside: BoolArray = (self.distance_m > low) & (self.distance_m < high) & fair
+        return inside
 
 
 def beams_meet(cell: Cell, part_o: FloatArray, part_beam: FloatArray, names: list[str]) -> Met:
-    """Rays from points (m, 3) along unit vectors (m, 3), all in the frame of the part, against all its faces."""
+    """Rays from points (m, 3) along unit vectors (m, 3), in the frame of the part, against all its faces."""
     named = part_faces(cell)
     corners, face_index = _mesh(cell.cad_path, next(iter(named.values())))
     wanted = np.array([named[name].index for name in names])

@@ -20,7 +20,7 @@ ELBOW_HEIGHT_M: Final = 0.20
 CLEARANCE_M: Final = 0.008
 SAMPLES: Final = 12  # along one joint path
 
-# Outlines in the frames of the sensors: a laser head of 46 x 30 x 40 mm behind its window, a stylus with its body.
+# Outlines in the frames of the sensors: a laser head of 46 x 30 x 40 mm behind its window, a stylus.
 _LASER_HEAD: Final = np.array(
     [[x, y, z] for x in (-0.015, 0.015) for y in (-0.023, 0.023) for z in (0.0, -0.02, -0.04)]
 )
@@ -95,10 +95,12 @@ class Keepout:
             room = (radius[which] + CLEARANCE_M)[:, None]
             inside = ((local > box.low_m - room) & (local < box.high_m + room)).all(axis=2)
             free &= ~inside.any(axis=1)
-        return free.reshape(shape)
+        shaped: BoolArray = free.reshape(shape)
+        return shaped
 
     def path_clear(self, start_rad: FloatArray, end_rad: FloatArray, touching: str = "") -> BoolArray:
-        """Whether straight joint paths (m, 6) to (m, 6) are clear between their ends, which are not looked at."""
+        """Whether straight joint paths (m, 6) to (m, 6) are clear between their ends."""
         fractions = np.arange(1, SAMPLES) / SAMPLES
         postures = start_rad[:, None] + fractions[:, None] * (end_rad - start_rad)[:, None]
-        return self.clear(postures, touching).all(axis=1)
+        along: BoolArray = np.all(self.clear(postures, touching), axis=1)
+        return along

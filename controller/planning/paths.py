@@ -26,7 +26,7 @@ def carrying(joints_rad: FloatArray) -> FloatArray:
 
 
 def accesses(keepout: Keepout, joints_rad: FloatArray, touching: str = "") -> list[Route | None]:
-    """For each posture (m, 6) the way to it from its carrying posture, which comes first; None if there is none."""
+    """The way to each posture (m, 6) from its carrying posture, which comes first; None if there is none."""
     routes: list[Route | None] = [None] * len(joints_rad)
     carry = carrying(joints_rad)
     possible = keepout.clear(joints_rad, touching) & keepout.clear(carry)
@@ -83,7 +83,7 @@ def require_all(routes: list[Route | None], what: str) -> list[Route]:
     found = [route for route in routes if route is not None]
     if len(found) < len(routes):
         raise Unreachable(
-            f"{len(routes) - len(found)} of {len(routes)} postures for {what} cannot be approached clear of the cell",
+            f"{len(routes) - len(found)} of {len(routes)} postures for {what} have no clear approach",
             "Move what stands in the way, or place the object nearer to the middle of the arm's reach",
         )
     return found

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from controller.planning.paths import Route, accesses, connections, nearest_order, require_all
+from controller.planning.poses import BoolArray
 from controller.planning.steps import Joints, Kind, Step, as_joints
 from controller.planning.workspace import Candidates, Workspace
 from estimation.belief import Belief
@@ -111,7 +112,7 @@ def closed(steps: Sequence[Step]) -> tuple[Step, ...]:
     return (*steps[:-1], replace(last, retreat=(*last.retreat, *reversed(last.access))))
 
 
-def accessible(workspace: Workspace, candidates: Candidates) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def accessible(workspace: Workspace, candidates: Candidates) -> BoolArray:
     """Which candidates (m,) can be approached clear of everything."""
     return np.array(
         [route is not None for route in accesses(workspace.keepout, candidates.joints_rad)], dtype=bool

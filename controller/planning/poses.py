@@ -1,4 +1,4 @@
-"""From what the sensor shall do to joint angles: flange poses for beams and touches, and the branch to use."""
+"""From what the sensor shall do to joint angles: flange poses for beams and touches, and the branch."""
 
 from typing import Final
 
@@ -10,6 +10,7 @@ from estimation.kinematics import ArmModel
 from estimation.transform import FloatArray
 
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
 
 LIMIT_MARGIN_RAD: Final = np.radians(
     3.0
@@ -39,14 +40,14 @@ def beam_poses(
     """
     origins = base_p - distance_m[:, None] * base_beam
     base_T_laser = _poses(origins, base_beam, spin_rad)
-    laser_T_flange: FloatArray = np.linalg.inv(flange_T_laser)
-    return base_T_laser @ laser_T_flange
+    laser_T_flange = np.linalg.inv(flange_T_laser)
+    return np.asarray(base_T_laser @ laser_T_flange)
 
 
 def ball_poses(
     base_p: FloatArray, base_tool: FloatArray, spin_rad: FloatArray, flange_p_ball: FloatArray
 ) -> FloatArray:
-    """base_T_flange (m, 4, 4) with the ball's centre at `base_p` (m, 3) and the flange's z along `base_tool`."""
+    """base_T_flange (m, 4, 4) with the ball at `base_p` (m, 3) and the flange's z along `base_tool`."""
     poses = _poses(base_p, base_tool, spin_rad)
     poses[:, :3, 3] -= poses[:, :3, :3] @ flange_p_ball
     return poses
@@ -72,7 +73,7 @@ def choose_joints(
     usable = valid & arm.within_limits(joints, LIMIT_MARGIN_RAD)
     usable &= np.abs(np.sin(joints[..., 4])) > np.sin(WRIST_MARGIN_RAD)
     usable &= np.abs(np.sin(joints[..., 2])) > np.sin(ELBOW_MARGIN_RAD)
-    near = np.broadcast_to(near_rad, (len(joints), 6)).copy()
+    near: FloatArray = np.array(np.broadcast_to(near_rad, (len(joints), 6)))
     if np.ndim(near_rad) == 1:
         near[:, 0] += np.arctan2(base_T_flange[:, 1, 3], base_T_flange[:, 0, 3]) - near[:, 0]
     motion = (np.abs(joints - near[:, None]) * _WEIGHTS).max(axis=-1)
@@ -93,7 +94,7 @@ def _poses(origins: FloatArray, z_axes: FloatArray, spin_rad: FloatArray) -> Flo
 
 def _across(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors (m, 3) each, perpendicular to the axes and to each other, right-handed."""
-    helper = np.where(np.abs(axes[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = helper - (helper * axes).sum(axis=1, keepdims=True) * axes
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    helper = np.where(np.abs(axes[:, :1]) < 0.9, np.eye(3)[:1], np.eye(3)[1:2])
+    first: FloatArray = helper - (helper * axes).sum(axis=1, keepdims=True) * axes
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
     return first, np.cross(axes, first)

@@ -1,4 +1,4 @@
-"""Which of many candidate measurements to take: greedy by rank-one updates of the covariance, then exchanges."""
+"""Which of many candidates to measure: greedy by rank-one updates of the covariance, then exchanges."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -57,7 +57,7 @@ def select(
     Notes
     -----
     The reduction of v^T G P G^T v by a candidate h is (v^T G P h)^2 / (q + h^T P h), summed over the
-    principal axes v of all gated points, weighted by their eigenvalues: nearly the worst axis only, but smooth.
+    principal axes v of all gated points, weighted by their eigenvalues: nearly the worst axis, but smooth.
     """
     if count > len(rows):
         raise EstimationError(

@@ -1,6 +1,6 @@
 """One step of a plan: where the arm goes and what it measures there. Plans are data."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -37,10 +37,6 @@ class Step:
         """Where the arm stands after the step."""
         return self.retreat[-1] if self.retreat else self.joints_rad
 
-    def numbered(self, index: int) -> "Step":
-        """The same step as number `index` (from 0) of its phase."""
-        return replace(self, id=f"{index + 1:03d}")
-
     def to_dict(self) -> dict[str, Any]:
         """For JSON; floats survive exactly."""
         return asdict(self)
@@ -60,7 +56,12 @@ def route(done: Step | None, following: Step) -> tuple[Joints, ...]:
     return (*back, *following.access)
 
 
-def as_joints(values: Sequence[float]) -> Joints:
+def named(steps: Sequence[Step], prefix: str, first: int = 0) -> tuple[Step, ...]:
+    """The steps with ids "prefix 001", counted from `first` (from 0)."""
+    return tuple(replace(step, id=f"{prefix} {first + i + 1:03d}") for i, step in enumerate(steps))
+
+
+def as_joints(values: Iterable[float]) -> Joints:
     """Joints as a tuple of plain floats."""
     return tuple(float(value) for value in values)
 

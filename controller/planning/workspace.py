@@ -10,6 +10,7 @@ from controller.cellfile import Cell
 from controller.knowledge import joint_variance, object_features, part_corners_m, part_faces
 from controller.planning.keepout import Box, Keepout, ToolOutline
 from controller.planning.paths import carrying
+from controller.planning.poses import BoolArray, IntArray
 from estimation.belief import Belief
 from estimation.kinematics import ArmModel
 from estimation.measurement import Observations, Rows, evaluate, object_point_jacobian
@@ -48,7 +49,8 @@ class Workspace:
     @cached_property
     def start_rad(self) -> FloatArray:
         """A carrying posture: where plans begin and end."""
-        return carrying(np.array([self.cell.robot.start_joints_rad]))[0]
+        start: FloatArray = carrying(np.array([self.cell.robot.start_joints_rad]))[0]
+        return start
 
     @cached_property
     def keepout(self) -> Keepout:
@@ -114,13 +116,13 @@ class Candidates:
     features: tuple[Feature, ...]
     joints_rad: FloatArray  # (m, 6)
     reading_m: FloatArray  # (m,) expected; zeros for touches
-    feature_index: FloatArray  # (m,) integers
+    feature_index: IntArray  # (m,)
     object_p_m: FloatArray  # (m, 3)
 
     def __len__(self) -> int:
         return len(self.joints_rad)
 
-    def take(self, rows: FloatArray | list[int]) -> "Candidates":
+    def take(self, rows: IntArray | BoolArray | list[int]) -> "Candidates":
         """Some of them."""
         return Candidates(
             self.sensor,
@@ -137,7 +139,7 @@ def observations_of(workspace: Workspace, candidates: Candidates) -> Observation
     """The candidates as if they had been measured, with the noise that the cell file declares."""
     cell, count = workspace.cell, len(candidates)
     if candidates.sensor == "laser":
-        variance = cell.laser.noise_m**2 + cell.laser.reading_noise_m**2 / PLANNED_CYCLES
+        variance = range_variance(cell)
         readings = cell.robot.readings
     else:
         travel_m = cell.probe.touch_speed_m_s * cell.probe.poll_period_s
@@ -152,8 +154,13 @@ def observations_of(workspace: Workspace, candidates: Candidates) -> Observation
         reading_variance=np.full(count, variance),
         surface_variance=np.full(count, flatness_m**2),
         features=candidates.features,
-        feature_index=candidates.feature_index.astype(np.intp),
+        feature_index=candidates.feature_index,
     )
+
+
+def range_variance(cell: Cell) -> float:
+    """Variance (m^2) of one laser measurement: speckle, and what averaging leaves of the cycles."""
+    return cell.laser.noise_m**2 + cell.laser.reading_noise_m**2 / PLANNED_CYCLES
 
 
 def rows_of(workspace: Workspace, candidates: Candidates) -> Rows:
