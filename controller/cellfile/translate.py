@@ -171,7 +171,8 @@ def _choices(path: KeyPath, source: Source) -> list[Any]:
 
 def _not_allowed(path: KeyPath, source: Source) -> Mistake:
     choices, value = _choices(path, source), source.value(path)
-    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
+    words = [choice for choice in choices if isinstance(choice, str)]
+    near = difflib.get_close_matches(value, words, n=1) if isinstance(value, str) else []
     remedy = f"did you mean {shown(near[0])}? " if near else ""
     all_choices = ", ".join(shown(choice) for choice in choices)
     return source.mistake(path, "not allowed", f"{remedy}choose from {all_choices}")
