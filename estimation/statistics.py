@@ -223,7 +223,8 @@ def _conformance(value: float, u: float, lower: float, upper: float, dof: float)
     """P(lower <= true value <= upper)."""
     if u == 0.0:
         return float(lower <= value <= upper)
-    return 1.0 - _upper_tail((upper - value) / u, dof) - _upper_tail((value - lower) / u, dof)
+    outside = _upper_tail((upper - value) / u, dof) + _upper_tail((value - lower) / u, dof)
+    return max(0.0, 1.0 - outside)
 
 
 def _upper_tail(distance: float, dof: float) -> float:

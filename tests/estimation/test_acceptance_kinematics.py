@@ -41,7 +41,7 @@ def test_row_9_rotation_variances_add_up_to_the_joint_variances(
     assert np.trace(covariance[3:, 3:]) == pytest.approx((sigma_rad**2).sum(), rel=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(q=angles, deviation=deviations)
 def test_row_20_joint_and_parameter_jacobians(prbt: ArmModel, q: FloatArray, deviation: FloatArray) -> None:
     every = tuple((joint, name) for joint in range(6) for name in PARAMETER_NAMES)

@@ -24,7 +24,7 @@ def distance_rad(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("name", ["prbt", "irb1400"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_every_valid_branch_reaches_the_pose_within_the_limits(
     name: str, seed: int, prbt: ArmModel, irb1400: ArmModel
@@ -70,7 +70,7 @@ def test_stretched_arm_and_wrist_over_axis_1(prbt: ArmModel) -> None:
         assert np.abs(prbt.flange_pose(joints[valid]) - pose).max() < 1e-9
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_calibrated_arm_is_reached_as_exactly(prbt: ArmModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
