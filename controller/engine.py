@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
-from controller.faults import Fault, GateHeld, Interrupted, OutsideCause, fault_code
+from controller.faults import Defect, Fault, GateHeld, Interrupted, OutsideCause, fault_code
 from controller.packml import Command, PackMLMachine, State, StateChange
 from drivers.capabilities import Devices
 from drivers.clock import Clock
@@ -200,9 +200,9 @@ class Engine:
             except CellError as error:
                 self._leave(Command.HOLD, error)
                 continue
-            except Exception as error:  # a defect of ours: no guess, no further motion
+            except Exception as error:
                 log.exception("Defect in state %s", state)
-                wrapped = CellError(
+                wrapped = Defect(
                     f"Internal error: {error!r}", "Report it with the log; Clear and Reset to go on"
                 )
                 self._leave(Command.ABORT, wrapped)

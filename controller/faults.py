@@ -14,6 +14,10 @@ class OutsideCause(CellError):
     """The cell is well, its surroundings are not (no part, robot in manual): Suspend."""
 
 
+class Defect(CellError):
+    """Something that truecell did not foresee: no guess, no further motion."""
+
+
 class GateHeld(CellError):
     """A gate did not pass and more measurements cannot cure it: Hold."""
 
@@ -50,7 +54,7 @@ def fault_code(error: BaseException) -> str:
             return "D"
         case StoreError():
             return "S2"
-        case CellError():
+        case CellError() if not isinstance(error, Defect):
             return "E"
         case _:
             return "H7"

@@ -6,6 +6,7 @@ first, takes what the store already has, and goes on where it ends. A restart is
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from controller.acquisition import Acquisition
@@ -226,7 +227,7 @@ class CellJob:
     def _extend(
         self, index: int, spec: PhaseSpec, attempt: int, steps: Sequence[Step], further: Sequence[Step]
     ) -> list[Step]:
-        numbered = [step.numbered(len(steps) + i) for i, step in enumerate(further)]
+        numbered = [replace(step, id=f"{len(steps) + i + 1:03d}") for i, step in enumerate(further)]
         plan = [*steps, *numbered]
         self._store.save_plan(
             self.run.id, index, spec.name, attempt, {"steps": [step.to_dict() for step in plan]}

@@ -27,7 +27,7 @@ class LocalizePhase:
 
     def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
         prior = with_part(context.belief, context.cell)
-        return plan_coarse_localize(context.cell, prior, context.arm, context.spec.faces, context.seed).steps
+        return plan_coarse_localize(context.cell, prior, context.arm, context.spec, context.seed).steps
 
     def more(
         self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -38,8 +38,7 @@ class LocalizePhase:
             context.cell,
             self.found(context, steps, samples),
             context.arm,
-            context.spec.faces,
-            context.spec.measurements,
+            context.spec,
             context.seed,
         ).steps
 
@@ -118,7 +117,7 @@ class LocalizePhase:
             context.cell,
             finding.belief,
             context.arm,
-            context.spec.faces,
+            context.spec,
             steps,
             min(left, MORE_AT_ONCE),
             context.seed,

@@ -30,8 +30,7 @@ class PartCheckPhase:
             context.cell,
             context.belief,
             context.arm,
-            checked_phase(context, job.LocalizePhase).faces,
-            context.spec.points,
+            context.spec,
             used,
             context.seed,
         ).steps
