@@ -1,0 +1,100 @@
+"""The prior of a belief as a chart of the state: whitened coordinates, and rows as functions of them."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from estimation.belief import Belief, Value
+from estimation.errors import EstimationError
+from estimation.kinematics import ArmModel
+from estimation.measurement import Observations, Rows, rows_at
+from estimation.transform import FloatArray, Transform
+
+_EYE: Final = np.eye(3)
+
+Point = tuple[FloatArray, Rows, FloatArray]  # z, rows there, Jacobian (m, n) by z
+
+
+class Problem:
+    """The prior as a chart: r0 = L z with z ~ N(0, I), and rows as functions of z."""
+
+    def __init__(
+        self,
+        belief: Belief,
+        arm: ArmModel,
+        observations: Sequence[Observations],
+        consider: Sequence[str] = (),
+    ) -> None:
+        self.belief, self.arm, self.observations = belief, arm, observations
+        # Blocks to consider only: in the chart they are exactly known, so that nothing moves them.
+        free = np.ones(belief.size, dtype=np.bool_)
+        for name in consider:
+            free[belief.index(name)] = False
+        self.root = square_root(np.where(np.outer(free, free), belief.covariance, 0.0))
+        self.considers = bool(consider)
+        self.rows = sum(len(batch) for batch in observations)
+
+    def at(self, z: FloatArray) -> tuple[dict[str, Value], dict[str, FloatArray]]:
+        """Values at z, and for each pose B^-1 (6, a): a change of r0 as a right perturbation there."""
+        deviation = self.root @ z
+        values: dict[str, Value] = {}
+        charts: dict[str, FloatArray] = {}
+        for block in self.belief.blocks:
+            change = deviation[self.belief.index(block.name)]
+            if isinstance(block.value, Transform):
+                xi = np.zeros(6)
+                xi[block.active] = change
+                rotation, right = rotation_and_right_jacobian(xi[3:])
+                moved = np.eye(4)
+                moved[:3, :3], moved[:3, 3] = rotation, xi[:3]
+                inverse = np.zeros((6, 6))
+                inverse[:3, :3], inverse[3:, 3:] = rotation.T, right
+                values[block.name] = Transform(
+                    block.value.target, block.value.source, block.value.matrix @ moved
+                )
+                charts[block.name] = inverse[:, block.active]
+            else:
+                values[block.name] = block.value + change
+        return values, charts
+
+    def evaluate(self, z: FloatArray) -> Point:
+        """Rows at z, with their Jacobian by z. Raises EstimationError when they are not finite."""
+        values, charts = self.at(z)
+        rows = rows_at(values, self.arm, self.observations)
+        dense = np.zeros((self.rows, self.belief.size))
+        for name, matrix in rows.jacobian.items():
+            if name in self.belief:
+                dense[:, self.belief.index(name)] = matrix @ charts[name] if name in charts else matrix
+        if not np.isfinite(rows.residual_m).all() or not np.isfinite(dense).all():
+            raise EstimationError("A residual is not a finite number", "Check joints, readings and priors")
+        return z, rows, dense @ self.root
+
+
+def square_root(covariance: FloatArray) -> FloatArray:
+    """L (n, n) with L L^T = covariance, which may be singular."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(std > 0.0, std, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    try:
+        root = np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:  # singular: something is known exactly
+        values, vectors = np.linalg.eigh(correlation)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return scale[:, None] * root
+
+
+def rotation_and_right_jacobian(rotation_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Exp(phi) and Jr(phi), (3, 3) each: Exp(phi + d) = Exp(phi) Exp(Jr d), to first order in d; rad."""
+    x, y, z = rotation_rad.tolist()
+    angle2 = x * x + y * y + z * z
+    angle = math.sqrt(angle2)
+    if angle < 1e-3:  # the series are exact to rounding here, the closed forms are not
+        first, second, third = 1 - angle2 / 6, 0.5 - angle2 / 24, 1 / 6 - angle2 / 120
+    else:
+        first, second = math.sin(angle) / angle, (1 - math.cos(angle)) / angle2
+        third = (angle - math.sin(angle)) / (angle2 * angle)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    squared = cross @ cross
+    return _EYE + first * cross + second * squared, _EYE - second * cross + third * squared
