@@ -1,5 +1,6 @@
 """The tables of the devices: robot, laser and probe."""
 
+from math import radians
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, StringConstraints
@@ -24,9 +25,9 @@ PARAMETER_NAMES: Final = ("theta", "d", "a", "alpha", "beta")  # the order of es
 _SI_NAMES: Final = {"theta": "theta_rad", "d": "d_m", "a": "a_m", "alpha": "alpha_rad", "beta": "beta_rad"}
 
 LinkLength = Annotated[Length, Field(ge=-5, le=5)]
-LinkAngle = Annotated[Angle, Field(ge=-6.2832, le=6.2832)]
+LinkAngle = Annotated[Angle, Field(ge=-radians(360), le=radians(360))]
 LinkLengthU = Annotated[Length, Field(ge=0, le=0.01)]
-LinkAngleU = Annotated[Angle, Field(ge=0, le=0.05)]
+LinkAngleU = Annotated[Angle, Field(ge=0, le=radians(3))]
 
 
 class Joint(Table):
@@ -84,17 +85,17 @@ class Robot(Table):
     """What the drives say they are."""
     sync_period_s: Duration = Field(ge=0.001, le=1)
     """Time between two SYNC messages; one joint reading each."""
-    speed_rad_s: AngularSpeed = Field(gt=0, le=10)
+    speed_rad_s: AngularSpeed = Field(gt=0, le=radians(600))
     """Of the fastest joint in a free move."""
-    acceleration_rad_s2: AngularAcceleration = Field(gt=0, le=200)
+    acceleration_rad_s2: AngularAcceleration = Field(gt=0, le=radians(10_000))
     """Of the fastest joint in a free move."""
-    in_position_rad: Angle = Field(gt=0, le=0.02)
+    in_position_rad: Angle = Field(gt=0, le=radians(1))
     """Largest distance from the target, each joint, at which a move has arrived."""
     settle_time_s: Duration = Field(ge=0, le=60)
     """Wait at standstill before the first reading."""
-    joint_noise_rad: Angle = Field(ge=0, le=0.01)
+    joint_noise_rad: Angle = Field(ge=0, le=radians(0.5))
     """Standard deviation of one reading, each joint."""
-    encoder_step_rad: Angle = Field(gt=0, le=0.01)
+    encoder_step_rad: Angle = Field(gt=0, le=radians(0.5))
     """Angle of one count."""
     readings: Count
     """Joint readings averaged in one measurement."""
@@ -163,7 +164,7 @@ class Laser(Table):
     """Length of the measuring range."""
     working_range_m: tuple[Length, Length]
     """Shortest and longest distance to use; enforced on every sample."""
-    max_incidence_rad: Angle = Field(gt=0, lt=1.5708)
+    max_incidence_rad: Angle = Field(gt=0, lt=radians(90))
     """Largest angle between beam and surface normal."""
     noise_m: Length = Field(gt=0, le=0.01)
     """Standard deviation per measured point (surface, speckle); waiting does not average it."""

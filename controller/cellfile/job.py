@@ -14,6 +14,7 @@ class NoisePhase(Table):
     """Repeatability of joints and laser, at several poses."""
 
     kind: Literal["noise"]
+    """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
     readings: Annotated[int, Field(ge=10, le=10_000)]
@@ -26,6 +27,7 @@ class HandEyePhase(Table):
     """Where the laser sits on the flange, from the plate; with the kinematic parameters."""
 
     kind: Literal["hand_eye"]
+    """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
     measurements: Annotated[int, Field(ge=9, le=10_000)]
@@ -44,6 +46,7 @@ class LocalizePhase(Table):
     """Where the part lies, from its faces."""
 
     kind: Literal["localize"]
+    """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
     measurements: Annotated[int, Field(ge=6, le=10_000)]
@@ -64,6 +67,7 @@ class CheckPhase(Table):
     """An independent check of an earlier phase; its measurements enter no fit."""
 
     kind: Literal["check"]
+    """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
     of: str
@@ -82,6 +86,7 @@ class InspectPhase(Table):
     """All characteristics of the part."""
 
     kind: Literal["inspect"]
+    """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
 

@@ -1,6 +1,7 @@
 """The tables of what stands in the cell: artefacts and the part with its characteristics."""
 
 from datetime import date
+from math import radians
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -83,6 +84,7 @@ class Diameter(Table):
     """A diameter with two limits."""
 
     kind: Literal["diameter"]
+    """What is toleranced, and which keys it has."""
     id: Name
     """Number on the drawing."""
     feature: str
@@ -97,6 +99,7 @@ class Position(Table):
     """The position of an axis in a datum system."""
 
     kind: Literal["position"]
+    """What is toleranced, and which keys it has."""
     id: Name
     """Number on the drawing."""
     feature: str
@@ -111,6 +114,7 @@ class Flatness(Table):
     """The flatness of a face."""
 
     kind: Literal["flatness"]
+    """What is toleranced, and which keys it has."""
     id: Name
     """Number on the drawing."""
     feature: str
@@ -136,7 +140,7 @@ class Part(Placement):
     """Unit of the CAD file, compared with what the file says."""
     position_limit_m: Length = Field(gt=0, le=1)
     """Farthest that the part may lie from its nominal place."""
-    rotation_limit_rad: Angle = Field(gt=0, le=0.8)
+    rotation_limit_rad: Angle = Field(gt=0, le=radians(45))
     """Farthest that the part may be turned."""
     features: Annotated[tuple[PartFeature, ...], Field(min_length=1)]
     """Faces that are measured."""

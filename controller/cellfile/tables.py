@@ -1,6 +1,7 @@
 """What all tables of the cell file share: strictness, names, and placement in a frame."""
 
 import re
+from math import radians
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
@@ -53,7 +54,7 @@ class Placement(Table):
     """Rotation about the fixed x, y and z axes of the parent, in this order (REP-103)."""
     position_u_m: Length = Field(ge=0, le=0.1)
     """Standard uncertainty of the origin, each axis."""
-    rotation_u_rad: Angle = Field(default=0.0, ge=0, le=0.35)
+    rotation_u_rad: Angle = Field(default=0.0, ge=0, le=radians(20))
     """Standard uncertainty of the orientation, about each axis."""
 
     def transform(self) -> "Transform":

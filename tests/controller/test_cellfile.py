@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from controller.cellfile import Cell, CellFileMistakes, Mistake, check_cell, format_mistakes, load_cell
+from controller.cellfile.document import document
 from estimation.errors import CellFileError
 
 BENCH_BLOCK = Path(__file__).parents[2] / "cells" / "bench-block"
@@ -229,6 +230,13 @@ def test_expired_certificates_are_named(good: Cell) -> None:
         "certificate BAR-0417 of the bar held until 2028-03-01",
         "certificate SPH-1288 of the sphere held until 2028-03-01",
     ]
+
+
+def test_the_reference_of_the_cell_file_is_current() -> None:
+    page = Path(__file__).parents[2] / "docs" / "cell-file.md"
+    assert page.read_text(encoding="utf-8") == document(), (
+        "run python -m controller.cellfile.document > docs/cell-file.md"
+    )
 
 
 def test_a_cell_cannot_be_changed(good: Cell) -> None:
