@@ -37,20 +37,14 @@ class Switch(Protocol):
         """Bring `closed` and `count` up to that instant."""
 
 
-class Adam6052:
-    """The device end of one connection; inputs are sampled when a request arrives."""
+class ModbusConnection:
+    """The device end of one TCP connection; inputs are sampled when a request arrives."""
 
-    def __init__(self, switch: Switch, model: int, channel: int, reply_delay_s: float) -> None:
-        self._switch, self._model, self._channel = switch, model, channel
-        self._reply_delay_s = reply_delay_s
+    def __init__(self, module: "Adam6052") -> None:
+        self._module = module
         self._framer = FramerSocket(DecodePDU(is_server=True))
         self._input = b""
         self._output: deque[tuple[float, bytes]] = deque()
-        self._outputs = 0  # bits
-        self._counter_base = [0] * INPUTS
-        self.extra_counts = 0  # bounce, added by hand
-
-    # -- stream ----------------------------------------------------------------------------------
 
     def receive(self, data: bytes, time_s: float) -> None:
         """Bytes from the client, however they are cut."""
@@ -63,11 +57,12 @@ class Adam6052:
                 continue
             if request is None and not used:
                 if self._input[2:4] not in (b"", b"\0", b"\0\0"):
-                    self._input = b""  # not Modbus: the device would close the connection
+                    self._input = b""  # not Modbus
                 return
             self._input = self._input[used:]
             if request is not None:
-                self._send(self._answer(request, time_s), request.transaction_id, request.dev_id, time_s)
+                answer = self._module.answer(request, time_s)
+                self._send(answer, request.transaction_id, request.dev_id, time_s)
 
     def _refuse(self, time_s: float) -> None:
         """A function that the device does not have."""
@@ -79,7 +74,7 @@ class Adam6052:
 
     def _send(self, answer: ModbusPDU, transaction: int, unit: int, time_s: float) -> None:
         answer.transaction_id, answer.dev_id = transaction, unit
-        self._output.append((time_s + self._reply_delay_s, self._framer.buildFrame(answer)))
+        self._output.append((time_s + self._module.reply_delay_s, self._framer.buildFrame(answer)))
 
     def next_output_s(self) -> float:
         """When the next answer leaves."""
@@ -96,9 +91,25 @@ class Adam6052:
         """Forget the answers that left by then."""
         self.take(time_s)
 
-    # -- registers -------------------------------------------------------------------------------
 
-    def _answer(self, request: ModbusPDU, time_s: float) -> ModbusPDU:
+class Adam6052:
+    """Inputs, outputs, counters and name of the module."""
+
+    def __init__(self, switch: Switch, model: int, channel: int, reply_delay_s: float) -> None:
+        self._switch, self._model, self._channel = switch, model, channel
+        self.reply_delay_s = reply_delay_s
+        self._outputs = 0  # bits
+        self._counter_base = [0] * INPUTS
+        self.extra_counts = 0  # bounce, added by hand
+
+    def restart(self) -> None:
+        """Power comes back: outputs off, counters at zero."""
+        self._outputs = 0
+        self._counter_base = [0] * INPUTS
+        self._counter_base[self._channel] = self._counter(self._channel)
+
+    def answer(self, request: ModbusPDU, time_s: float) -> ModbusPDU:
+        """What the module says to a request, at that instant."""
         code, address, count = request.function_code, request.address, request.count
         self._switch.update(time_s)
         if code in (1, 2):

@@ -12,7 +12,7 @@ from simulators.drive import Drive, DriveSettings
 from simulators.world_file import ArmSpec
 
 COUNT_RAD: Final = math.pi / 180 / 1000  # the arm counts thousandths of a degree
-FRAME_S: Final = 0.00012  # one frame on the bus at 1 Mbit/s
+DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts: all answers to a SYNC come together
 REPLY_S: Final = 0.0004  # an SDO server thinks
 NOISE_BLOCK: Final = 4096
 
@@ -82,9 +82,10 @@ class SimulatedArm:
 
     def _emit(self, time_s: float, can_id: int, data: bytes) -> None:
         output = self._output
+        time_s += DONGLE_S
         if output and output[-1].time_s > time_s:
             time_s = output[-1].time_s
-        output.append(Frame(can_id, data, time_s + FRAME_S))
+        output.append(Frame(can_id, data, time_s))
 
     def next_output_s(self) -> float:
         """Nothing comes from the arm before this, if the master stays silent."""
@@ -95,12 +96,17 @@ class SimulatedArm:
         if time_s < self._next_event_s:
             return
         for drive in self.drives:
-            drive.advance(time_s)
-        self._next_event_s = min(drive.next_event_s for drive in self.drives)
+            if drive.next_event_s <= time_s:
+                drive.advance(time_s)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        self._next_event_s = min([drive.next_event_s for drive in self.drives])
 
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
-        self.advance(time_s)
+        if time_s >= self._next_event_s:
+            self.advance(time_s)
         return self._output.popleft() if self._output and self._output[0].time_s <= time_s else None
 
     def receive(self, can_id: int, data: bytes, time_s: float) -> None:
@@ -112,6 +118,9 @@ class SimulatedArm:
             drive = self._receivers[can_id]
             if drive.receive(can_id, data, time_s):
                 self._start([drive])
+            if drive.next_event_s < self._next_event_s:
+                self._next_event_s = drive.next_event_s
+            return
         elif can_id >> 7 == 0x600 >> 7:
             self._request(can_id & 0x7F, data, time_s)
         elif can_id == 0x000 and len(data) == 2:
@@ -124,7 +133,7 @@ class SimulatedArm:
                 drive.heartbeat(can_id & 0x7F, time_s)
         else:
             return
-        self._next_event_s = min([drive.next_event_s for drive in self.drives])
+        self._schedule()
 
     def _sync(self, time_s: float) -> None:
         for drive in self.drives:
@@ -157,13 +166,13 @@ class SimulatedArm:
         self.advance(time_s)
         for drive in self.drives:
             drive.permit(permitted, time_s)
-        self._next_event_s = min(drive.next_event_s for drive in self.drives)
+        self._schedule()
 
     def fault(self, joint: int, code: int, time_s: float) -> None:
         """Let one drive fail; the others do not notice."""
         self.advance(time_s)
         self.drives[joint].fault(code, 0x21)
-        self._next_event_s = min(drive.next_event_s for drive in self.drives)
+        self._schedule()
 
     # -- what is true ----------------------------------------------------------------------------
 

@@ -291,7 +291,7 @@ class Drive:
 
     def statusword(self) -> int:
         """6041h now."""
-        word = self.state.value | 0x210  # voltage enabled, remote
+        word = self.state | 0x210  # voltage enabled, remote
         moving = self.motion.moving(self._now_s)
         if self._mode == PROFILE_POSITION:
             if not moving and self._buffered is None:

@@ -1,10 +1,10 @@
 """The CiA 402 state machine of one drive as a table."""
 
-from enum import Enum
+from enum import Enum, IntEnum
 from typing import Final
 
 
-class DriveState(Enum):
+class DriveState(IntEnum):
     """States, with the bits of the statusword that show them."""
 
     SWITCH_ON_DISABLED = 0x40

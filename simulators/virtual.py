@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from estimation.errors import DeviceError
+from simulators.adam6052 import ModbusConnection
 from simulators.arm import Frame
 from simulators.cell import CellModel
 
@@ -103,10 +104,10 @@ class _VirtualLink:
             self.faults.unplug_at_s = math.inf
 
     def _check_plugged(self) -> float:
-        now = self._clock.now_s()
-        if now >= self.faults.unplug_at_s:
-            self.faults.unplugged = True
-        if self.faults.unplugged:
+        now, faults = self._clock.now_s(), self.faults
+        if now >= faults.unplug_at_s:
+            faults.unplugged = True
+        if faults.unplugged:
             raise DeviceError(f"Port {self._name} is gone", "Check the cable and the power of the device")
         return now
 
@@ -219,7 +220,7 @@ class SimulatedCell:
         self.arm, self.contact = self.model.arm, self.model.contact
         self.arm_link = VirtualCanLink("arm", self.clock, self.model.arm)
         self.laser_link = VirtualByteLink("laser", self.clock, self.model.laser)
-        self.probe_link = VirtualByteLink("probe", self.clock, self.model.probe)
+        self.probe_link = VirtualByteLink("probe", self.clock, ModbusConnection(self.model.probe))
 
     def bump(self) -> None:
         """Knock the laser as the scenario says."""
