@@ -20,9 +20,8 @@ def reporter(store: Store, folder: Path) -> Reporter:
         try:
             paths = write_report(store, newest[0].id if run is None else run, folder, RealClock().utc_s())
         except OSError as error:
-            raise StoreError(
-                f"Report not written to {folder}: {error.strerror}", "Check that folder"
-            ) from error
+            problem = f"Report not written to {folder}: {error.strerror}"
+            raise StoreError(problem, "Check that folder") from error
         return [path for path in (paths.html, paths.pdf) if path is not None]
 
     return write

@@ -18,55 +18,10 @@ import pytest
 from controller.daemon.address import default_socket, listen
 from controller.daemon.feed import EventFeed, plain
 from controller.daemon.serve import serve
-from controller.engine import Reply
-from controller.packml import Command, PackMLMachine, State
+from controller.packml import Command, State
 from controller.store import Store
 from estimation.errors import CellError
-
-
-class FakeEngine:
-    """States and events without job and devices."""
-
-    def __init__(self, initial: State = State.IDLE) -> None:
-        self.machine = PackMLMachine(initial)
-        self.heard: list[tuple[Command, str, str]] = []
-        self.was_shut_down = False
-        self._listeners: list[Callable[[dict[str, Any]], None]] = []
-        self._end = threading.Event()
-
-    def submit(self, command: Command, who: str, reason: str = "") -> Reply:
-        state = self.machine.fire(command)
-        self.heard.append((command, who, reason))
-        self.publish({"event": "state", "state": state.value, "message": ""})
-        return Reply(command, state)
-
-    def publish(self, event: dict[str, Any]) -> None:
-        for listener in self._listeners:
-            listener(event)
-
-    def status(self) -> dict[str, Any]:
-        state = self.machine.state
-        return {
-            "state": state.value,
-            "state_no": state.number,
-            "progress": {},
-            "fault": None,
-            "u_m": float("nan"),
-        }
-
-    def subscribe(self, listener: Callable[[dict[str, Any]], None], /) -> Callable[[], None]:
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
-
-    def run_forever(self) -> None:
-        self._end.wait()
-
-    def die(self) -> None:
-        self._end.set()
-
-    def shutdown(self) -> None:
-        self.was_shut_down = True
-        self._end.set()
+from tests.controller.fake_engine import FakeEngine
 
 
 class Cell:
@@ -178,7 +133,7 @@ def test_a_defect_is_answered_without_its_words(cell: Cell, monkeypatch: pytest.
 
 def test_status_carries_unknown_numbers_as_null(cell: Cell) -> None:
     assert cell.client.get("/status").json() == {
-        "state": "Idle", "state_no": 4, "progress": {}, "fault": None, "u_m": None
+        "state": "Idle", "state_no": 4, "fault": None, "u_m": None
     }  # fmt: skip
 
 
@@ -289,8 +244,7 @@ import sys
 from pathlib import Path
 from controller.daemon.serve import serve
 from controller.store import Store
-sys.path.insert(0, {folder!r})
-from test_daemon import FakeEngine
+from tests.controller.fake_engine import FakeEngine
 engine = FakeEngine()
 with Store.open(Path(sys.argv[1]) / "cell.db") as store:
     address = Path(sys.argv[1]) / "run" / "d.sock"
@@ -302,8 +256,12 @@ sys.exit(0 if ended_well and engine.was_shut_down else 1)
 @pytest.mark.wire
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_stops_the_arm_and_ends_the_daemon_in_order(tmp_path: Path, number: signal.Signals) -> None:
-    program = DAEMON.format(folder=str(Path(__file__).parent))
-    daemon = subprocess.Popen([sys.executable, "-c", program, tmp_path], stdout=subprocess.PIPE, text=True)
+    daemon = subprocess.Popen(
+        [sys.executable, "-c", DAEMON, tmp_path],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
     assert daemon.stdout is not None
     assert daemon.stdout.readline() == "ready\n"
     with socket.socket(socket.AF_UNIX) as watcher:  # an open stream must not hold up the end
