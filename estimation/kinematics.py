@@ -11,6 +11,7 @@ from estimation.errors import EstimationError
 from estimation.transform import FloatArray, skew
 
 PARAMETER_NAMES: Final = ("theta", "d", "a", "alpha", "beta")
+_AXIS_OF: Final = {"theta": 0, "d": 0, "a": 1, "alpha": 1, "beta": 2}  # z, x or y
 
 
 @dataclass(frozen=True, eq=False)  # == on arrays is ambiguous
@@ -39,6 +40,10 @@ class ArmModel:
     upper_rad: FloatArray
     free: tuple[tuple[int, str], ...] = ()
     _tails: FloatArray = field(init=False, repr=False)  # (n, 4, 4): each link after its Rz
+    # for the columns of the Jacobians, joints then free parameters: which axis, and a point on it
+    _axis_index: NDArray[np.intp] = field(init=False, repr=False)  # into z, x, y axes of all links
+    _point_index: NDArray[np.intp] = field(init=False, repr=False)  # into frames, base to flange
+    _lengths: NDArray[np.intp] = field(init=False, repr=False)  # columns that move without turning
 
     def __post_init__(self) -> None:
         for name in (*PARAMETER_NAMES, "lower_rad", "upper_rad"):
@@ -63,6 +68,13 @@ class ArmModel:
                     f"Name one of {', '.join(PARAMETER_NAMES)} of joints 1 to {self.joint_count}",
                 )
         object.__setattr__(self, "_tails", self._link_tails())
+        n = self.joint_count
+        axes = [*range(n), *(joint + n * _AXIS_OF[name] for joint, name in self.free)]
+        # theta turns about an axis through the start of its link, alpha and beta through the end
+        points = [*range(n), *(joint + (name != "theta") for joint, name in self.free)]
+        lengths = [n + column for column, (_, name) in enumerate(self.free) if name in ("d", "a")]
+        for key, index in (("_axis_index", axes), ("_point_index", points), ("_lengths", lengths)):
+            object.__setattr__(self, key, np.array(index, dtype=np.intp))
 
     @staticmethod
     def from_dh(
@@ -142,38 +154,26 @@ class ArmModel:
         for joint in range(n):
             np.matmul(frames[:, joint], links[:, joint], out=frames[:, joint + 1])
         flange = frames[:, n]
-        origins = frames[:, :, :3, 3]
-        z_axes = frames[:, :n, :3, 2]
-
-        chosen = range(len(self.free))
-        axes = np.empty((len(joints), n + len(self.free), 3))
-        points = np.empty_like(axes)
-        axes[:, :n], points[:, :n] = z_axes, origins[:, :n]
-        for column, (joint, name) in zip(chosen, self.free, strict=True):
-            # theta and d act before the link's own motion, the others after it
-            if name in ("theta", "d"):
-                axis = z_axes[:, joint]
-            elif name == "beta":
-                axis = frames[:, joint + 1, :3, 1]
-            else:
-                angle = joints[:, joint, None] + self.theta[joint]
-                axis = np.cos(angle) * frames[:, joint, :3, 0] + np.sin(angle) * frames[:, joint, :3, 1]
-            axes[:, n + column] = axis
-            points[:, n + column] = origins[:, joint if name == "theta" else joint + 1]
+        # x of a link after its joint rotation: the axis of a and alpha
+        angle = (joints + self.theta)[..., None]
+        x_axes = np.cos(angle) * frames[:, :n, :3, 0] + np.sin(angle) * frames[:, :n, :3, 1]
+        every_axis = np.concatenate([frames[:, :n, :3, 2], x_axes, frames[:, 1:, :3, 1]], axis=1)
+        axes = every_axis[:, self._axis_index]
+        points = frames[:, :, :3, 3][:, self._point_index]
 
         # rows of `axes @ R` are R^T axis: seen from the flange
         turn = axes @ flange[:, :3, :3]
         arm = (flange[:, None, :3, 3] - points) @ flange[:, :3, :3]
-        (tx, ty, tz), (rx, ry, rz) = np.moveaxis(turn, -1, 0), np.moveaxis(arm, -1, 0)
+        tx, ty, tz = turn[..., 0], turn[..., 1], turn[..., 2]
+        rx, ry, rz = arm[..., 0], arm[..., 1], arm[..., 2]
         twists = np.empty((len(joints), 6, n + len(self.free)))
         twists[:, 0] = ty * rz - tz * ry
         twists[:, 1] = tz * rx - tx * rz
         twists[:, 2] = tx * ry - ty * rx
         twists[:, 3:] = turn.swapaxes(1, 2)
-        lengths = [n + column for column in chosen if self.free[column][1] in ("d", "a")]
-        if lengths:
-            twists[:, :3, lengths] = twists[:, 3:, lengths]
-            twists[:, 3:, lengths] = 0.0
+        if len(self._lengths):
+            twists[:, :3, self._lengths] = twists[:, 3:, self._lengths]
+            twists[:, 3:, self._lengths] = 0.0
         return flange, twists[:, :, :n], twists[:, :, n:]
 
     def tool_covariance(
