@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from controller.cellfile.cell import Cell
 from controller.cellfile.consistency import find_inconsistencies
+from controller.cellfile.geometry import check_geometry
 from controller.cellfile.lines import LineIndex, index_lines, without
 from controller.cellfile.mistakes import CellFileMistakes, Mistake, Source
 from controller.cellfile.translate import mistakes_of
@@ -27,20 +28,34 @@ _AT_LINE = re.compile(r"\s*\(at (?:line (?P<line>\d+), column \d+|end of documen
 def load_cell(path: str | Path, feasibility: Feasibility | None = None) -> Cell:
     """Read and check a cell file, or the cell.toml in a folder.
 
+    Quick: the CAD file is only opened. With `feasibility` all is checked as by `check_cell`.
     Raises CellFileMistakes (a CellFileError) with all mistakes.
     """
-    cell, mistakes = _read(Path(path), feasibility)
+    cell, mistakes = _read(Path(path))
+    if cell is not None and not mistakes and feasibility is not None:
+        mistakes = _judge(cell, feasibility)
     if cell is None or mistakes:
         raise CellFileMistakes(mistakes)
     return cell
 
 
 def check_cell(path: str | Path, feasibility: Feasibility | None = None) -> list[Mistake]:
-    """All mistakes of a cell file, in the order of the file; [] if it is in order."""
-    return _read(Path(path), feasibility)[1]
+    """All mistakes of a cell file, in the order of the file; [] if it is in order.
+
+    Each step needs the one before it to be in order: the file, its part against the CAD file, feasibility.
+    """
+    cell, mistakes = _read(Path(path))
+    return _judge(cell, feasibility) if cell is not None and not mistakes else mistakes
 
 
-def _read(path: Path, feasibility: Feasibility | None) -> tuple[Cell | None, list[Mistake]]:
+def _judge(cell: Cell, feasibility: Feasibility | None) -> list[Mistake]:
+    mistakes = check_geometry(cell)
+    if not mistakes and feasibility is not None:
+        mistakes = feasibility(cell)
+    return sorted(mistakes, key=lambda mistake: mistake.line)
+
+
+def _read(path: Path) -> tuple[Cell | None, list[Mistake]]:
     if path.is_dir():
         path = path / FILE_NAME
     try:
@@ -53,13 +68,10 @@ def _read(path: Path, feasibility: Feasibility | None) -> tuple[Cell | None, lis
     cell, sections, findings = _validate(source)
     mistakes += findings
     mistakes += find_inconsistencies(sections, source, path.parent)
-    if cell is not None:
+    if cell is not None and not mistakes:
         cell._path = path.absolute()
         cell._source = source
-        if not mistakes:
-            cell._cad_digest = hashlib.sha256(cell.cad_path.read_bytes()).hexdigest()
-            if feasibility is not None:
-                mistakes += feasibility(cell)
+        cell._cad_digest = hashlib.sha256(cell.cad_path.read_bytes()).hexdigest()
     return cell, sorted(mistakes, key=lambda mistake: mistake.line)
 
 
