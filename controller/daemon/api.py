@@ -13,8 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
 from controller.daemon.feed import EventFeed, plain
-from controller.engine import Reply
-from controller.packml import Command
+from controller.packml import Command, State
 from controller.store import RecordNotFound, RecordRefused, Result, Run, Store
 from estimation.errors import CellError, IllegalTransition, StoreError
 
@@ -26,6 +25,18 @@ _COMMANDS: Final = {command.value.lower(): command for command in Command}
 Identifier = Annotated[int, Field(ge=1, le=_LARGEST_ID)]
 Reporter = Callable[[int | None], Sequence[FilePath]]
 """Writes the report of a run (None: the newest) and says where."""
+
+
+class Reply(Protocol):
+    """An accepted command."""
+
+    @property
+    def command(self) -> Command:
+        """The command."""
+
+    @property
+    def state(self) -> State:
+        """The state right after it."""
 
 
 class CellEngine(Protocol):

@@ -2,10 +2,18 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from controller.engine import Reply
 from controller.packml import Command, PackMLMachine, State
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What a command leads to."""
+
+    command: Command
+    state: State
 
 
 class FakeEngine:
