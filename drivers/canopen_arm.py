@@ -34,7 +34,7 @@ class CanopenArm:
 
     `stop` may be called from any thread; everything else from one thread at a time.
     `keep_alive_thread` keeps SYNC and heartbeat alive while no method runs; the deterministic cell, where
-    nothing runs while nobody waits, goes without.
+    nothing runs while nobody waits, goes without, and the drives are not told to watch the heartbeat.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class CanopenArm:
             master_id=config.master_id,
             on_fault=self._quick_stop_all,
         )
-        self._setup = ArmSetup(self._master, clock, config)
+        self._setup = ArmSetup(self._master, clock, config, master_is_watched=keep_alive_thread)
         self._joints = len(config.node_ids)
         self._window = max(1, round(config.in_position_rad * config.counts_per_rad))
         self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
@@ -256,7 +256,10 @@ class CanopenArm:
             self._enable()
             sample = self._master.next_sample()
         config = self._config
-        distance_rad = (np.array(target) - np.array(sample.counts)) / config.counts_per_rad
+        # Where a joint stands is known to its reading noise only: one that seems to be there already may
+        # have some counts to go, and must not be told to crawl them.
+        counts = np.maximum(np.abs(np.array(target) - np.array(sample.counts)), self._window)
+        distance_rad = counts / config.counts_per_rad
         move = synchronize(distance_rad, speed_limit_rad_s, np.array(config.acceleration_limit_rad_s2))
         # Rounded up: a joint that moves a few counts only must not arrive late.
         velocity = [max(1, math.ceil(v * config.counts_per_rad)) for v in move.velocity]
