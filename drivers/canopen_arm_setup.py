@@ -47,8 +47,11 @@ class ArmConfig:
 class ArmSetup:
     """What happens by SDO: before operation, and after a fault."""
 
-    def __init__(self, master: CanopenMaster, clock: Clock, config: ArmConfig) -> None:
+    def __init__(
+        self, master: CanopenMaster, clock: Clock, config: ArmConfig, *, master_is_watched: bool
+    ) -> None:
         self._master, self._clock, self._config = master, clock, config
+        self._master_is_watched = master_is_watched
         self._sdo = master.sdo
 
     def configure(self) -> Identity:
@@ -151,7 +154,8 @@ class ArmSetup:
         if codec.drive_state(sdo.read_int(node, codec.STATUSWORD)) is codec.DriveState.OPERATION_ENABLED:
             sdo.write(node, codec.CONTROLWORD, 0, codec.QUICK_STOP, 2)  # left over from an earlier session
         sdo.write(node, 0x1017, 0, round(HEARTBEAT_PERIOD_S * 1000), 2)
-        consumer = config.master_id << 16 | round(config.master_timeout_s * 1000)
+        watch_ms = round(config.master_timeout_s * 1000) if self._master_is_watched else 0
+        consumer = config.master_id << 16 | watch_ms if watch_ms else 0
         self._write_if_present(node, 0x1016, 1, consumer, 4)
         if config.sync_timeout_factor is not None:
             self._write_if_present(node, 0x200E, 0, config.sync_timeout_factor, 1)

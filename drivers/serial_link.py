@@ -1,0 +1,128 @@
+"""A serial port as a ByteLink."""
+
+import contextlib
+import errno
+import threading
+from typing import Final
+
+import serial
+
+from estimation.errors import DeviceError
+
+KEPT_BYTES: Final = 1 << 18  # the kernel keeps 4 KiB only, 0.7 s of a fast sensor
+READ_SLICE_S: Final = 0.05
+WRITE_TIMEOUT_S: Final = 1.0
+
+
+class SerialLink:
+    """8N1 without handshake, for one user at a time; a thread empties the port so that nothing is lost.
+
+    The port is opened by `reopen`, not before.
+    """
+
+    def __init__(self, port: str, baud: int) -> None:
+        self.port, self.baud = port, baud
+        self._serial: serial.Serial | None = None
+        self._reader: threading.Thread | None = None
+        self._arrived = threading.Condition()
+        self._buffer = bytearray()
+        self._failure: DeviceError | None = None
+
+    def reopen(self) -> None:
+        """Close and open again. Raises DeviceError naming the port and the remedy."""
+        self.close()
+        try:
+            port = serial.Serial(
+                self.port, self.baud, timeout=READ_SLICE_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise opening_failed(self.port, error) from error
+        with contextlib.suppress(OSError):  # a pseudo-terminal has no such lines
+            port.dtr = port.rts = True
+        self._serial, self._failure = port, None
+        self._buffer.clear()
+        self._reader = threading.Thread(
+            target=self._receive, args=(port,), name=f"serial {self.port}", daemon=True
+        )
+        self._reader.start()
+
+    def close(self) -> None:
+        """Release the port; safe twice."""
+        port, self._serial = self._serial, None
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.cancel_read()
+            if self._reader is not None:
+                self._reader.join()
+            port.close()
+
+    def write(self, data: bytes) -> None:
+        """Send all bytes. Raises DeviceError if the port is gone or takes nothing."""
+        try:
+            self._require().write(data)
+        except serial.SerialTimeoutException as error:
+            raise DeviceError(
+                f"Port {self.port} takes no data for {WRITE_TIMEOUT_S:g} s",
+                "Check the converter and its cable",
+            ) from error
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, waiting at most `timeout_s` for the first byte. Raises DeviceError if gone."""
+        self._require()
+        with self._arrived:
+            if not self._buffer and self._failure is None:
+                self._arrived.wait_for(lambda: self._buffer or self._failure is not None, timeout_s)
+            if not self._buffer and self._failure is not None:
+                raise DeviceError(self._failure.problem, self._failure.remedy)
+            data = bytes(self._buffer)
+            self._buffer.clear()
+            return data
+
+    def discard_input(self) -> None:
+        """Drop what was received."""
+        port = self._require()
+        with contextlib.suppress(serial.SerialException, OSError):  # a port that is gone is told by `read`
+            port.reset_input_buffer()
+        with self._arrived:
+            self._buffer.clear()
+
+    def _receive(self, port: serial.Serial) -> None:
+        try:
+            while self._serial is port:
+                data = port.read(max(1, port.in_waiting))
+                if data:
+                    with self._arrived:
+                        self._buffer += data
+                        if len(self._buffer) > KEPT_BYTES:
+                            del self._buffer[:-KEPT_BYTES]
+                        self._arrived.notify_all()
+        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed while reading
+            with self._arrived:
+                self._failure = self._gone(error)
+                self._arrived.notify_all()
+
+    def _require(self) -> serial.Serial:
+        if self._serial is None:
+            raise DeviceError(f"Port {self.port} is not open", "Connect the device first")
+        return self._serial
+
+    def _gone(self, error: Exception) -> DeviceError:
+        return DeviceError(
+            f"Port {self.port} is gone ({error})", "Check the cable and the power of the device"
+        )
+
+
+def opening_failed(port: str, error: Exception) -> DeviceError:
+    """Why a port cannot be opened, and what to do."""
+    number = getattr(error, "errno", None)
+    text = str(error)
+    remedy = "Check the port in the cell file"
+    if number == errno.ENOENT or "No such file" in text:
+        remedy = "Plug the device in, or for a simulated cell start `truecell simulate` first"
+    elif number == errno.EACCES or "Permission denied" in text:
+        remedy = "Give this user access to the port (on most systems: the group dialout)"
+    elif number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        remedy = "Another program uses it: stop that one"
+    return DeviceError(f"Port {port} cannot be opened: {text}", remedy)
