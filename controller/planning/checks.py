@@ -22,7 +22,7 @@ BAR_TILT_RAD: Final = np.radians(45.0)
 PATCH: Final = (4, 3)  # points of the noise patch
 HOP_M: Final = 0.002  # between them: another speckle, the same plane
 _SPINS: Final = 12
-_AZIMUTHS: Final = np.radians(np.arange(0.0, 360.0, 15.0))
+_AZIMUTHS: Final = np.radians(np.arange(0.0, 360.0, 30.0))
 _LEAST_OFFSET: Final = 0.35  # of the cap's radius: nearer to its middle a point says nothing sideways
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
@@ -75,13 +75,13 @@ class _Options:
 
 
 def _options(workspace: Workspace, points: int) -> _Options:
-    """All orientations that work, with tilts 0 and 45 deg, all azimuths, spins and three distances."""
+    """All orientations that work, with tilts 0 and 45 deg, all azimuths and spins, and two distances."""
     bar, low, high = workspace.cell.bar, *workspace.cell.laser.working_range_m
     ends = workspace.pose("bar").points(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, bar.length_m]]))
-    distances = low + (high - low) * np.array([0.35, 0.5, 0.65])
+    distances = low + (high - low) * np.array([0.35, 0.6])
     tilted = np.array(
-        [(1, a, s, d) for a in range(len(_AZIMUTHS)) for s in range(_SPINS) for d in range(3)]
-        + [(0, 0, s, d) for s in range(_SPINS) for d in range(3)]
+        [(1, a, s, d) for a in range(len(_AZIMUTHS)) for s in range(_SPINS) for d in range(2)]
+        + [(0, 0, s, d) for s in range(_SPINS) for d in range(2)]
     )
     tilt = BAR_TILT_RAD * tilted[:, 0]
     azimuth, spin_place = tilted[:, 1], tilted[:, 2]
@@ -125,7 +125,7 @@ def _five(workspace: Workspace, options: _Options) -> list[int]:
     usable: dict[int, bool] = {}
 
     def nearest(which: BoolArray) -> int | None:
-        for option in order[which[order]].tolist():
+        for option in order[np.asarray(which)[order]].tolist():
             if option not in usable:
                 usable[option] = bool(
                     accessible(workspace, options.candidates.take(options.rows[option])).all()
@@ -148,7 +148,7 @@ def _five(workspace: Workspace, options: _Options) -> list[int]:
         complete = [[option for option in one if option is not None] for one in sets if None not in one]
         if not complete:
             raise _unreachable(f"both spheres of the bar, {what}")
-        chosen += min(complete, key=lambda one: float(options.motion[one].max()))
+        chosen += min(complete, key=lambda one: max(float(options.motion[option]) for option in one))
     return chosen
 
 

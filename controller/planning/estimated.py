@@ -62,7 +62,7 @@ def plan_coarse_localize(
 ) -> Plan:
     """The first points on a part that was clamped by hand: each meets its face wherever the part may lie."""
     workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, spec.faces, seed, margin_m=_margin_m(workspace))
+    pool = part_candidates(workspace, spec.faces, seed, margin_m=margin_m(workspace))
     displacements = _displacements(cell)
     face_limit = -(-count // len(spec.faces)) + 1  # no face may be left out
     return _part_plan(
@@ -105,7 +105,7 @@ def plan_part_check(
     checked = next(phase for phase in cell.job.phases if phase.name == spec.of)
     faces = checked.faces if isinstance(checked, job.LocalizePhase) else ()
     workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, faces, seed + CHECK_SEED, margin_m=_margin_m(workspace))
+    pool = part_candidates(workspace, faces, seed + CHECK_SEED, margin_m=margin_m(workspace))
     used = np.array([step.object_p_m for step in steps if step.object == "part" and step.kind == "laser"])
     blocked = np.zeros(len(pool), dtype=np.bool_)
     for _ in range(_ROUNDS):
@@ -148,7 +148,7 @@ def _localize(
     seed: int,
 ) -> Plan:
     workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, spec.faces, seed + first, margin_m=_margin_m(workspace))
+    pool = part_candidates(workspace, spec.faces, seed + first, margin_m=margin_m(workspace))
     return _part_plan(
         workspace, pool, count, spec.name, note, first, lambda chosen: occluded(workspace, chosen)
     )
@@ -226,7 +226,7 @@ def _spread(pool: Candidates, count: int, used: FloatArray, open_: BoolArray) ->
     return chosen
 
 
-def _margin_m(workspace: Workspace) -> float:
+def margin_m(workspace: Workspace) -> float:
     """How far inside the edges a beam must aim to meet its face."""
     return EDGE_MARGIN_M + workspace.part_offset_m() + SIGMAS * mount_offset_m(workspace)
 

@@ -39,7 +39,7 @@ class FaceSampler:
         """
         first, second, third = np.moveaxis(self.triangles, 1, 0)
         areas = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-        tried = 4 * count
+        tried = 3 * count
         chosen = random.choice(len(areas), size=tried, p=areas / areas.sum())
         u, v = random.uniform(0.0, 1.0, (2, tried, 1))
         flip = u + v > 1.0

@@ -1,13 +1,150 @@
-"""Can the limits of a job be met at all? Asked before anything moves."""
+"""Can the limits of a job be met at all? Asked before a port is opened or anything moves."""
 
-from collections.abc import Mapping
+from collections import OrderedDict
 from dataclasses import dataclass
+from typing import Final
 
 from controller.cellfile import Cell, Mistake, job
+from controller.faults import GateHeld
+from controller.gates import Proof, Verdict
 from controller.knowledge import first_belief, with_part, with_plate
-from controller.planning.estimated import (
-    choose,
-    corner_points,
-    hand_eye_points,
-    plate_candidates_for,
+from controller.planning.candidates import part_candidates, plate_candidates
+from controller.planning.estimated import COARSE_COUNT, choose, corner_points, hand_eye_points, margin_m
+from controller.planning.plan import GatedPrediction, gated_predictions
+from controller.planning.workspace import Candidates, Workspace, observations_of
+from estimation.belief import Belief
+from estimation.kinematics import ArmModel
+from estimation.measurement import Points
+from estimation.solver import predicted_belief
+from estimation.statistics import Outcome
+from estimation.transform import FloatArray
+
+SLACK: Final = 1.05  # a prediction is not exact; what is so near is left to the gate itself
+DRAWS: Final = 1200
+_KEPT: Final = 16  # answers, by cell file
+
+# What would make each source smaller.
+_CURES: Final = (
+    ("kinematics", "calibrate the arm's kinematics and declare the smaller uncertainties"),
+    ("laser scale", "have the laser's scale certified more closely"),
+    ("laser offset", "have the laser's zero certified more closely"),
+    ("range noise", "allow more measurements, or use a laser with less noise"),
+    ("joint noise", "average more joint readings"),
+    ("form", "declare the part's form from a measured sample"),
+    ("certificate", "use an artefact with a smaller uncertainty"),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Reachable:
+    """The best that one phase can do with all the measurements that it may take."""
+
+    phase: str
+    index: int  # in the job
+    best: GatedPrediction
+    limit_m: float
+    measurements: int
+
+    @property
+    def met(self) -> bool:
+        """Whether the limit can be met, as far as a prediction can tell."""
+        return self.best.U_m <= self.limit_m * SLACK
+
+    @property
+    def problem(self) -> str:
+        """In words, with value, limit, unit and the dominating source."""
+        source, share = self.best.dominating
+        return (
+            f"best reachable {self.best.U_m * 1e3:.2f} mm, limit {self.limit_m * 1e3:.2f} mm, "
+            f"with {self.measurements} measurements; dominated by {source}, {share:.0%} of the variance"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What would cure it."""
+        source = self.best.dominating[0]
+        cure = next((text for key, text in _CURES if key in source), f"reduce {source}")
+        return f"raise the limit to {self.best.U_m * SLACK * 1e3:.2f} mm, or {cure}"
+
+
+_answers: "OrderedDict[str, tuple[Reachable, ...]]" = OrderedDict()
+
+
+def feasibility(cell: Cell) -> tuple[Reachable, ...]:
+    """The best of each phase with a limit, each building on what the one before is planned to reach.
+
+    Kept for cell files asked for before. Raises CellError when an object cannot be measured at all.
+    """
+    digest = cell.digest
+    if digest not in _answers:
+        _answers[digest] = tuple(_walk(cell))
+        while len(_answers) > _KEPT:
+            _answers.popitem(last=False)
+    return _answers[digest]
+
+
+def limit_mistakes(cell: Cell) -> list[Mistake]:
+    """Limits that cannot be met, as mistakes of the cell file; for `check_cell`."""
+    return [
+        cell.mistake_at(("job", "phases", reachable.index, "limit"), reachable.problem, reachable.remedy)
+        for reachable in feasibility(cell)
+        if not reachable.met
+    ]
+
+
+def refuse_impossible_limits(cell: Cell) -> None:
+    """Raises GateHeld when the limit of a phase cannot be met."""
+    for reachable in feasibility(cell):
+        if not reachable.met:
+            proof = Proof(
+                "best reachable expanded uncertainty",
+                reachable.best.U_m * 1e3,
+                reachable.limit_m * 1e3,
+                "mm",
+                Outcome.NOT_DECIDABLE,
+                reachable.problem,
+            )
+            remedy = reachable.remedy[:1].upper() + reachable.remedy[1:]
+            raise GateHeld(reachable.phase, Verdict((proof,), reachable.problem, remedy))
+
+
+def _walk(cell: Cell) -> list[Reachable]:
+    arm, belief, found = cell.robot.arm_model(), first_belief(cell), list[Reachable]()
+    for index, spec in enumerate(cell.job.phases):
+        if isinstance(spec, job.HandEyePhase):
+            prior = with_plate(belief, cell)
+            workspace = Workspace(cell, arm, prior)
+            points, names = hand_eye_points(prior, spec.gated_ranges_m)
+            pool = plate_candidates(workspace, 0, DRAWS)
+        elif isinstance(spec, job.LocalizePhase):
+            prior = _searched(cell, with_part(belief, cell), arm, spec)
+            workspace = Workspace(cell, arm, prior)
+            points, names = corner_points(cell, prior)
+            pool = part_candidates(workspace, spec.faces, 0, DRAWS, margin_m(workspace))
+        else:
+            continue
+        planned = _best(workspace, pool, points, spec.measurements, spec.name)
+        best, count = planned, spec.measurements
+        if _worst(planned, points, names).U_m > spec.limit_m:  # what it needs, it may take
+            count = min(spec.most_measurements, len(pool))
+            best = _best(workspace, pool, points, count, spec.name)
+        found.append(Reachable(spec.name, index, _worst(best, points, names), spec.limit_m, count))
+        belief = best.without(["plate", "part"])
+    return found
+
+
+def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase) -> Belief:
+    """What the coarse points leave."""
+    workspace = Workspace(cell, arm, prior)
+    pool = part_candidates(workspace, spec.faces, 0, DRAWS // 2, margin_m(workspace))
+    return _best(workspace, pool, corner_points(cell, prior)[0], COARSE_COUNT, "search")
+
+
+def _best(workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str) -> Belief:
+    gates: FloatArray = points.jacobian
+    chosen = choose(workspace, pool, gates, min(count, len(pool)))
+    return predicted_belief(workspace.belief, workspace.arm, [observations_of(workspace, chosen)], phase)
+
+
+def _worst(belief: Belief, points: Points, names: tuple[str, ...]) -> GatedPrediction:
+    return max(gated_predictions(belief, points, names), key=lambda point: point.U_m)

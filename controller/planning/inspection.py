@@ -12,7 +12,7 @@ from controller.planning.plan import Plan
 from controller.planning.poses import IntArray, directions_around
 from controller.planning.selection import select
 from controller.planning.steps import named
-from controller.planning.touches import HOVER_M, Aims, Touches, touch_steps, touches_of
+from controller.planning.touches import HOVER_M, Aims, Touches, contacts_of, touch_steps, touches_of
 from controller.planning.workspace import Workspace, features_of, observations_of, rows_of
 from estimation.belief import Belief
 from estimation.cad import CadFace
@@ -22,13 +22,14 @@ from estimation.solver import predicted_belief
 from estimation.transform import FloatArray
 
 SPHERE_TOUCHES: Final = 9
+SPHERE_DRAWS: Final = 240
 FLATNESS_TOUCHES: Final = 9
 DATUM_TOUCHES: Final = 4
 CYLINDER_TOUCHES: Final = 8  # on two circles
 STYLUS_TILT_RAD: Final = np.radians(30.0)  # of the tool, so that the stylus is known along its own axis too
 EDGE_M: Final = 0.006  # of a touch from the edges of its face
 DEEPEST_M: Final = 0.026  # below the top of the part: so far the stylus reaches with its body over the part
-SPINS: Final = 24
+SPINS: Final = 16
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
 
@@ -65,7 +66,7 @@ def _wanted(cell: Cell) -> dict[str, int]:
 def _sphere_touches(workspace: Workspace, seed: int) -> Touches:
     """From all possible touches of the sphere's upper half those that tell most about the stylus."""
     cell, random = workspace.cell, np.random.default_rng([seed, 5])
-    count = 600
+    count = SPHERE_DRAWS
     away = cell.sphere.radius_m + cell.probe.ball_radius_m
     normal = directions_around(
         np.array([0.0, 0.0, 1.0]),
@@ -87,8 +88,7 @@ def _sphere_touches(workspace: Workspace, seed: int) -> Touches:
         tool,
         random.uniform(-np.pi, np.pi, len(normal)),
     )
-    touches, found = touches_of(workspace, aims)
-    possible = touches.take(np.flatnonzero(found))
+    possible, _ = touches_of(workspace, aims)
     if len(possible.contact) < SPHERE_TOUCHES:
         raise _unreachable("the stylus sphere")
     rows = rows_of(workspace, possible.contact)
@@ -104,11 +104,14 @@ Pattern = Callable[[Workspace, str, int], tuple[FloatArray, FloatArray, FloatArr
 
 
 def _fixed_touches(workspace: Workspace, name: str, count: int, pattern: Pattern) -> Touches:
-    """A fixed pattern of contacts, each with the spin of the tool that suits all of them best."""
+    """A fixed pattern of contacts, with the spin of the tool that suits all of them best.
+
+    One spin for all touches of a feature, so that the stylus position cancels; where none reaches all
+    of them, each takes the nearest to the one that reaches most.
+    """
     contact, normal, hover = pattern(workspace, name, count)
     features = features_of(workspace, "part")
     place = [feature.name for feature in features].index(name)
-    spins = np.arange(SPINS) * 2.0 * np.pi / SPINS
     many = len(normal) * SPINS
     aims = Aims(
         "part",
@@ -118,19 +121,28 @@ def _fixed_touches(workspace: Workspace, name: str, count: int, pattern: Pattern
         np.tile(normal, (SPINS, 1)),
         np.tile(hover, (SPINS, 1)),
         np.broadcast_to(_DOWN, (many, 3)),
-        np.repeat(spins, len(normal)),
+        np.repeat(np.arange(SPINS) * 2.0 * np.pi / SPINS, len(normal)),
     )
-    touches, found = touches_of(workspace, aims)
-    table = found.reshape(SPINS, len(normal))
-    # One spin for all touches of a feature, so that the stylus position cancels; else the nearest to it.
-    motion = np.abs(touches.start_rad - workspace.start_rad)[:, 1:].max(axis=1).reshape(table.shape)
-    cost = np.where(table, motion, 10.0).sum(axis=1)
-    common = int(np.argmin(cost))
-    distance = np.abs((np.arange(SPINS) - common + SPINS // 2) % SPINS - SPINS // 2)
-    best = np.argmin(np.where(table, distance[:, None], SPINS), axis=0)
-    if not table.any(axis=0).all():
-        raise _unreachable(f"{int((~table.any(axis=0)).sum())} of {len(normal)} touches on {name}")
-    return touches.take(best * len(normal) + np.arange(len(normal)))
+    joints, found = contacts_of(workspace, aims)
+    motion = np.where(found, np.abs(joints - workspace.start_rad)[:, 1:].max(axis=1), 2.0 * np.pi)
+    order = np.argsort(motion.reshape(SPINS, -1).sum(axis=1), kind="stable")
+    wanted = np.arange(many).reshape(SPINS, -1)
+    whole = np.all(found.reshape(SPINS, -1), axis=1)
+    for spin in order[np.asarray(whole)[order]]:
+        touches, rows = touches_of(workspace, aims.take(wanted[spin]))
+        if len(rows) == len(normal):
+            return touches
+    touches, rows = touches_of(workspace, aims)
+    place_of = np.full(many, -1)
+    place_of[rows] = np.arange(len(rows))
+    table = place_of.reshape(SPINS, -1)
+    missing = int((table < 0).all(axis=0).sum())
+    if missing:
+        raise _unreachable(f"{missing} of {len(normal)} touches on {name}")
+    common = int(np.argmax((table >= 0).sum(axis=1)))
+    turn = np.abs((np.arange(SPINS) - common + SPINS // 2) % SPINS - SPINS // 2)
+    best = np.argmin(np.where(table >= 0, turn[:, None], SPINS), axis=0)
+    return touches.take(table[best, np.arange(len(normal))])
 
 
 def _plane_aims(workspace: Workspace, name: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:

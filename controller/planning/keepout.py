@@ -5,6 +5,7 @@ against boxes. Good for planned postures and the straight joint paths between th
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -66,7 +67,7 @@ class Box:
     high_m: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Keepout:
     """Boxes, bench and base, and the tool that must stay clear of them."""
 
@@ -78,25 +79,36 @@ class Keepout:
         """Whether postures (..., 6) are clear; the stylus may be near the box of the name `touching`."""
         shape = joints_rad.shape[:-1]
         joints = joints_rad.reshape(-1, 6)
-        flange = self.arm.flange_pose(joints)
-        points = np.einsum("mij,kj->mki", flange[:, :3, :3], self.outline.points_m) + flange[:, None, :3, 3]
-        radius = self.outline.radius_m
-        height = points[..., 2] - radius
-        free = (height > BENCH_M).all(axis=1)
-        column = (np.hypot(points[..., 0], points[..., 1]) - radius < COLUMN_RADIUS_M) & (
-            height < COLUMN_HEIGHT_M
-        )
-        free &= ~column.any(axis=1)
         elbow = self.arm.d[0] + self.arm.a[1] * np.sin(self.arm.theta[1] + joints[:, 1])
-        free &= elbow > ELBOW_HEIGHT_M
+        free = elbow > ELBOW_HEIGHT_M
+        flange = self.arm.flange_pose(joints)
+        rotation, origin = flange[:, :3, :3], flange[:, :3, 3]
+        points = rotation @ self.outline.points_m.T + origin[:, :, None]  # (m, 3, k)
+        radius = self.outline.radius_m
+        height = points[:, 2] - radius
+        free &= (height > BENCH_M).all(axis=1)
+        across = points[:, 0] ** 2 + points[:, 1] ** 2 < (COLUMN_RADIUS_M + radius) ** 2
+        low = np.asarray(height < COLUMN_HEIGHT_M)
+        free &= ~(across & low).any(axis=1)
         for box in self.boxes:
-            which = ~self.outline.stylus if box.name == touching else np.ones(len(radius), dtype=bool)
-            local = (points[:, which] - box.base_T_box.origin_m) @ box.base_T_box.rotation
+            which = ~self.outline.stylus if box.name == touching else slice(None)
             room = (radius[which] + CLEARANCE_M)[:, None]
-            inside = ((local > box.low_m - room) & (local < box.high_m + room)).all(axis=2)
-            free &= ~inside.any(axis=1)
+            low, high = box.low_m[:, None] - room.T, box.high_m[:, None] + room.T
+            turn, place = box.base_T_box.rotation.T, box.base_T_box.origin_m
+            middle = (origin - place) @ turn.T
+            apart = np.maximum(np.maximum(box.low_m - middle, middle - box.high_m), 0.0)
+            near = np.flatnonzero(free & ((apart**2).sum(axis=1) < self._reach_m**2))
+            local = turn @ (points[near][:, :, which] - place[:, None])
+            inside = ((local > low) & (local < high)).all(axis=1)
+            free[near[inside.any(axis=1)]] = False
         shaped: BoolArray = free.reshape(shape)
         return shaped
+
+    @cached_property
+    def _reach_m(self) -> float:
+        """How far from the flange the tool can meet anything."""
+        reach = np.linalg.norm(self.outline.points_m, axis=1) + self.outline.radius_m
+        return float(reach.max() + CLEARANCE_M)
 
     def path_clear(self, start_rad: FloatArray, end_rad: FloatArray, touching: str = "") -> BoolArray:
         """Whether straight joint paths (m, 6) to (m, 6) are clear between their ends."""

@@ -10,6 +10,7 @@ from estimation.errors import EstimationError
 from estimation.transform import FloatArray
 
 _SHARPNESS: Final = 4.0  # how much more the largest principal axes count than the smaller ones
+_NEGLIGIBLE: Final = 1e-3  # weight of an axis that is not looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +67,7 @@ def select(
     state = _State(covariance, rows, variance, gates)
     open_ = np.ones(len(rows), dtype=np.bool_)
     chosen: list[int] = []
-    curve = [largest_std(gates, state.covariance)]
+    curve = [state.largest_std_m]
     counts = np.zeros(0 if group is None else int(group.max()) + 1, dtype=np.intp)
     for _ in range(count):
         best = state.best(_allowed(open_, group, counts, group_limit))
@@ -75,7 +76,7 @@ def select(
         open_[best] = False
         if group is not None:
             counts[group[best]] += 1
-        curve.append(largest_std(gates, state.covariance))
+        curve.append(state.largest_std_m)
     for _ in range(exchanges):
         for place, old in enumerate(chosen):
             state.take(old, -1.0)
@@ -102,37 +103,46 @@ def _allowed(
 
 
 class _State:
-    """Covariance P, and what of P H^T and H P H^T the choice needs, kept up to date by rank-one updates."""
+    """P H^T, G P H^T, H P H^T and G P G^T, kept up to date by rank-one updates."""
 
     def __init__(
         self, covariance: FloatArray, rows: FloatArray, variance: FloatArray, gates: FloatArray
     ) -> None:
-        self._prior = self.covariance = covariance
-        self._rows, self._variance, self._gates = rows, variance, gates
+        self._prior, self._rows, self._variance = covariance, rows, variance
         self._cross = covariance @ rows.T  # (n, m)
-        self._own = np.einsum("mn,nm->m", rows, self._cross)  # h^T P h
+        self._own = np.einsum("mn,nm->m", rows, self._cross)  # (m,) h^T P h
+        self._gated = np.einsum("gin,nm->gim", gates, self._cross)  # (g, 3, m)
+        self._gate_covariance = gates @ covariance @ gates.swapaxes(-1, -2)  # (g, 3, 3)
+
+    @property
+    def largest_std_m(self) -> float:
+        return float(np.sqrt(max(np.linalg.eigvalsh(self._gate_covariance).max(), 0.0)))
 
     def best(self, allowed: NDArray[np.bool_]) -> int:
-        values, axes = np.linalg.eigh(self._gates @ self.covariance @ self._gates.swapaxes(-1, -2))
+        values, axes = np.linalg.eigh(self._gate_covariance)
         values = np.maximum(values, 0.0)
         weights = (values / max(values.max(), 1e-300)) ** _SHARPNESS
-        directions = np.einsum("gia,gin->gan", axes, self._gates) * np.sqrt(weights)[..., None]
-        gain = ((directions.reshape(-1, directions.shape[-1]) @ self._cross) ** 2).sum(axis=0)
+        gain = np.zeros(len(self._variance))
+        # einsum, not matmul: on such small arrays the threads of a BLAS cost more than the sum
+        for gate, axis in zip(*np.nonzero(weights > _NEGLIGIBLE), strict=True):
+            along = np.einsum("i,im->m", axes[gate, :, axis], self._gated[gate])
+            gain += weights[gate, axis] * along**2
         gain /= self._variance + self._own
         return int(np.argmax(np.where(allowed, gain, -1.0)))
 
     def take(self, candidate: int, sign: float) -> None:
         """Add the candidate's information (+1) or take it away again (-1)."""
-        column = self._cross[:, candidate]
+        column, gated = self._cross[:, candidate].copy(), self._gated[:, :, candidate].copy()
         factor = 1.0 / (sign * self._variance[candidate] + self._own[candidate])
-        along = self._rows @ column
-        self.covariance = self.covariance - factor * np.outer(column, column)
-        self._cross = self._cross - factor * np.outer(column, along)
-        self._own = self._own - factor * along**2
+        along = factor * np.einsum("mn,n->m", self._rows, column)
+        self._cross -= column[:, None] * along
+        self._gated -= gated[..., None] * along
+        self._gate_covariance -= factor * gated[:, :, None] * gated[:, None, :]
+        self._own -= along**2 / factor
 
     def exact(self, chosen: list[int]) -> FloatArray:
         """The covariance computed afresh, free of the rounding of many updates."""
         rows, variance = self._rows[chosen], self._variance[chosen]
         cross = self._prior @ rows.T
         gain = np.linalg.solve(rows @ cross + np.diag(variance), cross.T)
-        return self._prior - cross @ gain
+        return np.asarray(self._prior - cross @ gain)

@@ -35,8 +35,18 @@ class Aims:
     base_tool: FloatArray  # (m, 3) direction of the stylus, frame base
     spin_rad: FloatArray  # (m,)
 
-    def __len__(self) -> int:
-        return len(self.normal)
+    def take(self, rows: IntArray) -> "Aims":
+        """Some of them."""
+        return Aims(
+            self.object,
+            self.features,
+            self.feature_index[rows],
+            self.contact_p_m[rows],
+            self.normal[rows],
+            self.hover_p_m[rows],
+            self.base_tool[rows],
+            self.spin_rad[rows],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,40 +72,43 @@ class Touches:
         )
 
 
-def touches_of(workspace: Workspace, aims: Aims) -> tuple[Touches, BoolArray]:
-    """Joints for the aims, and which of them (m,) can be made clear of everything."""
-    contact, found = _joints_at(workspace, aims, aims.contact_p_m, workspace.start_rad)
-    contact = _refined(workspace, aims, aims.contact_p_m, contact, found)
+def contacts_of(workspace: Workspace, aims: Aims) -> tuple[FloatArray, BoolArray]:
+    """Joints (m, 6) at the contacts alone, and which of them (m,) are reached and clear."""
+    flange = _flange(workspace, aims, aims.contact_p_m)
+    joints, found = choose_joints(workspace.arm, flange, workspace.start_rad)
+    found[found] = workspace.keepout.clear(joints[found], aims.object)
+    return joints, found
+
+
+def touches_of(workspace: Workspace, aims: Aims) -> tuple[Touches, IntArray]:
+    """The touches that can be made clear of everything, and their rows in the aims."""
+    contact, found = contacts_of(workspace, aims)
+    rows = np.flatnonzero(found)
+    aims, contact = aims.take(rows), contact[rows]
+    contact = _refined(workspace, aims, aims.contact_p_m, contact)
+    count = len(rows)
     candidates = Candidates(
-        "probe",
-        aims.object,
-        aims.features,
-        contact,
-        np.zeros(len(aims)),
-        aims.feature_index,
-        aims.contact_p_m,
+        "probe", aims.object, aims.features, contact, np.zeros(count), aims.feature_index, aims.contact_p_m
     )
     dense = rows_of(workspace, candidates).dense(workspace.belief)
-    variance = np.einsum("mi,ij,mj->m", dense, workspace.belief.covariance, dense, optimize=True)
+    variance = np.einsum("mi,mi->m", dense @ workspace.belief.covariance, dense)
     approach = APPROACH_M + APPROACH_SIGMAS * np.sqrt(np.maximum(variance, 0.0))
-    stations = [
-        _above(workspace, aims),
-        aims.hover_p_m,
-        aims.contact_p_m + approach[:, None] * aims.normal,
-        aims.contact_p_m - approach[:, None] * aims.normal,
-    ]
-    joints = []
+    way = approach[:, None] * aims.normal
+    stations = [_above(workspace, aims), aims.hover_p_m, aims.contact_p_m + way, aims.contact_p_m - way]
+    joints, possible = [], np.ones(count, dtype=np.bool_)
     for station in stations:
-        near, here = _joints_at(workspace, aims, station, contact)
-        found &= here & (np.abs(near - contact) < _SAME_BRANCH_RAD).all(axis=1)
-        joints.append(_refined(workspace, aims, station, near, found))
+        near, here = choose_joints(workspace.arm, _flange(workspace, aims, station), contact)
+        possible &= here & (np.abs(near - contact) < _SAME_BRANCH_RAD).all(axis=1)
+        joints.append(_refined(workspace, aims, station, np.where(here[:, None], near, contact)))
     above, hover, start, end = joints
     keepout = workspace.keepout
-    found &= keepout.clear(above)
+    possible &= keepout.clear(above)
     for posture in (hover, start, end):
-        found &= keepout.clear(posture, aims.object)
-    found &= keepout.path_clear(above, hover, aims.object) & keepout.path_clear(hover, start, aims.object)
-    return Touches(candidates, above, hover, start, end, approach), found
+        possible &= keepout.clear(posture, aims.object)
+    possible[possible] = keepout.path_clear(above[possible], hover[possible], aims.object)
+    possible[possible] = keepout.path_clear(hover[possible], start[possible], aims.object)
+    touches = Touches(candidates, above, hover, start, end, approach)
+    return touches.take(np.flatnonzero(possible)), rows[possible]
 
 
 def touch_steps(workspace: Workspace, groups: Sequence[tuple[str, Touches]]) -> tuple[Step, ...]:
@@ -166,21 +179,9 @@ def _above(workspace: Workspace, aims: Aims) -> FloatArray:
     return pose.inverse().points(base)
 
 
-def _joints_at(
-    workspace: Workspace, aims: Aims, object_p: FloatArray, near_rad: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    return choose_joints(workspace.arm, _flange(workspace, aims, object_p), near_rad)
-
-
-def _refined(
-    workspace: Workspace, aims: Aims, object_p: FloatArray, joints: FloatArray, found: BoolArray
-) -> FloatArray:
+def _refined(workspace: Workspace, aims: Aims, object_p: FloatArray, joints: FloatArray) -> FloatArray:
     """The same stations with the arm as calibrated: touches are nearer to surfaces than beams."""
-    refined = joints.copy()
-    if found.any():
-        target = _flange(workspace, aims, object_p)[found]
-        refined[found] = refine(workspace.actual_arm, target, joints[found], tolerance=1e-6)[0]
-    return refined
+    return refine(workspace.actual_arm, _flange(workspace, aims, object_p), joints, tolerance=1e-6)[0]
 
 
 def _flange(workspace: Workspace, aims: Aims, object_p: FloatArray) -> FloatArray:
