@@ -6,7 +6,6 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2 as chi_square
 
 from estimation.chart import Point, Problem
@@ -53,7 +52,7 @@ def _solve(
         whitened = weight[:, None] * jacobian
         normal = whitened.T @ whitened + np.eye(len(z))
         gradient = whitened.T @ residual + z
-        newton = cho_solve(cho_factor(normal), -gradient)
+        newton = np.linalg.solve(normal, -gradient)
         expected = float(-gradient @ newton)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
@@ -66,7 +65,7 @@ def _solve(
         polished += at_floor
         while True:
             scaled = normal + damping * np.diag(np.diag(normal))
-            step = newton if damping == 0.0 or at_floor else cho_solve(cho_factor(scaled), -gradient)
+            step = newton if damping == 0.0 or at_floor else np.linalg.solve(scaled, -gradient)
             trial = z + step
             _, trial_rows, trial_jacobian = problem.evaluate(trial)
             trial_residual = weight * trial_rows.residual_m
@@ -164,8 +163,8 @@ def gated(problem: Problem, z: FloatArray, robust: Robust, level: float, toleran
 def _spread(jacobian: FloatArray, variance: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
     """Diagonal (m,) of H P H^T with the posterior P of the used rows."""
     whitened = jacobian[used] / np.sqrt(variance[used])[:, None]
-    factor = cho_factor(whitened.T @ whitened + np.eye(jacobian.shape[1]))
-    spread: FloatArray = np.einsum("mn,nm->m", jacobian, cho_solve(factor, jacobian.T))
+    normal = whitened.T @ whitened + np.eye(jacobian.shape[1])
+    spread: FloatArray = np.einsum("mn,nm->m", jacobian, np.linalg.solve(normal, jacobian.T))
     return spread
 
 

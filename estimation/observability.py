@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr
 
 from estimation.belief import POSE_FREEDOMS, Belief
 from estimation.errors import DegenerateGeometry
@@ -121,8 +121,7 @@ def _held(
         root = np.linalg.cholesky(before)
     except np.linalg.LinAlgError:  # the prior itself ties directions together
         return ()
-    half = solve_triangular(root, after, lower=True)
-    ratio = solve_triangular(root, half.T, lower=True)
+    ratio = np.linalg.solve(root, np.linalg.solve(root, after).T)
     values, vectors = np.linalg.eigh(0.5 * (ratio + ratio.T))
     chosen = vectors[:, values > _HELD_RATIO**2]
     directions = (root @ chosen).T * scale * worth[free]

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2 as chi_square
 
 from estimation.belief import Belief
@@ -76,7 +75,7 @@ class Prediction:
     @property
     def chi2(self) -> float:
         """r^T S^-1 r, chi-square with m degrees of freedom for honest data."""
-        return float(self.residual_m @ cho_solve(cho_factor(self.covariance), self.residual_m))
+        return float(self.residual_m @ np.linalg.solve(self.covariance, self.residual_m))
 
     @property
     def p_value(self) -> float:
@@ -205,8 +204,8 @@ def _gain(root: FloatArray, dense: FloatArray, noise: Mapping[str, FloatArray]) 
     """K (n, m) of rows with the prior root root^T."""
     sigma = np.sqrt(np.maximum(np.sum(list(noise.values()), axis=0), SMALLEST_VARIANCE))
     whitened = (dense @ root) / sigma[:, None]
-    factor = cho_factor(whitened.T @ whitened + np.eye(root.shape[1]))
-    gain: FloatArray = root @ cho_solve(factor, whitened.T) / sigma
+    normal = whitened.T @ whitened + np.eye(root.shape[1])
+    gain: FloatArray = root @ np.linalg.solve(normal, whitened.T) / sigma
     return gain
 
 
@@ -239,9 +238,9 @@ def _joint_chi2(
         return at_minimum
     innovation = residual - (fit.jacobian[fit.used] @ fit.z) / np.sqrt(variance)
     whitened = dense @ chart @ square_root(problem.belief.covariance) / np.sqrt(variance)[:, None]
-    factor = cho_factor(whitened.T @ whitened + np.eye(whitened.shape[1]))
+    normal = whitened.T @ whitened + np.eye(whitened.shape[1])
     projected = whitened.T @ innovation
-    return float(innovation @ innovation - projected @ cho_solve(factor, projected))
+    return float(innovation @ innovation - projected @ np.linalg.solve(normal, projected))
 
 
 def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:

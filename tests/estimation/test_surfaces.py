@@ -5,18 +5,19 @@ from hypothesis import strategies as st
 
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.surfaces import DEVIATIONS, Feature, bar_features, cylinder, plane, signed_distance
+from estimation.transform import FloatArray
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTRE = np.array([0.05, 0.045, 0.09])
 ALL = DEVIATIONS
 
 
-def beside(x: float, y: float, z: float) -> np.ndarray:
-    return CENTRE + np.array([x, y, z])
+def beside(x: float, y: float, z: float) -> FloatArray:
+    return np.asarray(np.add(CENTRE, [x, y, z]))
 
 
 def distance(
-    feature: Feature, point: list[float] | np.ndarray, parameters: np.ndarray | None = None
+    feature: Feature, point: list[float] | FloatArray, parameters: FloatArray | None = None
 ) -> float:
     return float(
         signed_distance((feature,), np.zeros(1, dtype=np.intp), np.array([point]), parameters).distance_m[0]
