@@ -7,13 +7,14 @@ from typing import Any, Final, Protocol, Self
 
 from rich.console import Group, RenderableType
 from rich.live import Live
+from rich.markup import escape
 from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 
 from controller.console.client import ConsoleError, DaemonClient
 from controller.console.exit_codes import ExitCode
 from controller.console.show import coloured, console, fault_text, progress_text, status_table
-from controller.packml import State
+from controller.packml import State, allowed_commands
 
 Status = dict[str, Any]
 
@@ -84,7 +85,7 @@ class LiveView:
         progress = status.get("progress") or {}
         if progress.get("steps"):
             parts.append(ProgressBar(total=progress["steps"], completed=progress.get("step", 0), width=60))
-        title = f"{status.get('cell') or 'cell'}  {coloured(status['state'])}"
+        title = f"{escape(str(status.get('cell') or 'cell'))}  {coloured(status['state'])}"
         self._live.update(Panel(Group(*parts), title=title, title_align="left", expand=False))
 
 
@@ -101,8 +102,15 @@ def updated(status: Status, event: Status) -> Status:
         case "status":
             return event
         case "state":
-            fault = None if event["state"] in _WITHOUT_FAULT else status.get("fault")
-            return {**status, "state": event["state"], "message": event.get("message", ""), "fault": fault}
+            state = State(event["state"])
+            return {
+                **status,
+                "state": state.value,
+                "state_no": state.number,
+                "allowed": [command.value for command in allowed_commands(state)],
+                "message": event.get("message", ""),
+                "fault": None if state in _WITHOUT_FAULT else status.get("fault"),
+            }
         case "progress":
             return {**status, "progress": event}
         case "fault":
@@ -112,7 +120,7 @@ def updated(status: Status, event: Status) -> Status:
 
 
 def follow(
-    client: DaemonClient, view: View, until_waiting: bool, once_connected: Callable[[], None] | None = None
+    client: DaemonClient, view: View, until_waiting: bool, once_connected: Callable[[], object] | None = None
 ) -> Status:
     """Show events; with `until_waiting` return the status once the cell waits for somebody.
 

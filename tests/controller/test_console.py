@@ -16,7 +16,7 @@ import pytest
 from controller.console.app import app, main
 from controller.console.client import ConsoleError, DaemonClient
 from controller.console.exit_codes import ExitCode, code_of_status, code_of_verdicts
-from controller.console.watch import PlainView, follow, updated
+from controller.console.watch import LiveView, PlainView, follow, updated
 from controller.daemon.serve import serve
 from controller.packml import State
 from controller.store import Store
@@ -212,6 +212,20 @@ def test_start_and_wait_follows_the_job_to_its_end(truecell: Terminal, cell: Cel
         "fault G: Phase hand-eye: U is 0.5 mm. Add poses.",
         "Held",
     ]
+
+
+def test_the_live_panel_follows_state_and_allowed_commands(
+    socket: Path, cell: Cell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell.engine.extra = {"cell": "bench [A]", "allowed": ["Start"]}
+    progress = {"event": "progress", "phase": "hand-eye", "activity": "acquiring", "step": 40, "steps": 80}
+    cell.engine.script = [progress, State.HELD]
+    client = DaemonClient(socket)
+    follow(client, LiveView(), True, lambda: client.post("/command/start", "Kim", ""))
+    client.close()
+    panel = capsys.readouterr().out
+    for expected in ("bench [A]", "Held (11)", "hand-eye acquiring 40/80", "Stop, Unhold, Abort, Complete"):
+        assert expected in panel
 
 
 def test_watch_as_json_is_one_document_per_event(truecell: Terminal, cell: Cell) -> None:
