@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from controller.store import Store
+if TYPE_CHECKING:
+    from controller.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +16,9 @@ class ReportPaths:
     pdf: Path | None
 
 
-def write_report(store: Store, run_id: int, folder: Path, clock_utc_s: float, pdf: bool = True) -> ReportPaths:
+def write_report(
+    store: "Store", run_id: int, folder: Path, clock_utc_s: float, pdf: bool = True
+) -> ReportPaths:
     """Write the report of a run, ended or not, into `folder`; an older one of the same run is replaced.
 
     `clock_utc_s` is printed as the time of making. Raises StoreError when there is no such run, or one of its

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no script, no style sheet, no picture from elsewhere."""
+"""The report as one HTML file that needs nothing else: no script, no style or picture from elsewhere."""
 
 from collections.abc import Mapping
 from functools import lru_cache

@@ -97,7 +97,8 @@ def _overall(run: Run, phases: Sequence[Phase]) -> tuple[Outcome, str]:
         return Outcome.UNDEFINED, "No phase was concluded"
     if outcome is not Outcome.OK:
         first = next(phase for phase in judged if phase.outcome == outcome.value)
-        return outcome, f"Decided by phase {first.name}" + (f"; {rest}" if rest else "")
+        why = _of_characteristics(first) if first.characteristics else f"Decided by phase {first.name}"
+        return outcome, why + (f"; {rest}" if rest else "")
     if missing:
         return Outcome.UNDEFINED, f"Not finished: {rest}"
     if run.end_state is not None and outcome_of(run.end_state) is not Outcome.OK:
@@ -126,21 +127,25 @@ def _header(run: Run, cell: str, part: str) -> tuple[tuple[str, str], ...]:
 
 def _summary(records: Records, phases: Sequence[Phase], cell: str, part: str) -> str:
     run = records.run
-    about = "a simulated part" if run.simulated else "part"
-    began = f"Run {run.id} of cell {cell} measured {about} {part} from {words.utc(run.started_utc_s)}"
+    about = "simulated part" if run.simulated else "part"
     lasted = (
-        "; it has not ended" if run.ended_utc_s is None else f" for {words.lasting(run.ended_utc_s - run.started_utc_s)}"
+        "has not ended"
+        if run.ended_utc_s is None
+        else f"lasted {words.lasting(run.ended_utc_s - run.started_utc_s)}"
     )
-    sentences = [f"{began}{lasted}, with {words.counted(len(records.samples), 'measurement')}."]
+    sentences = [
+        f"Run {run.id} of cell {cell} on {about} {part} began {words.utc(run.started_utc_s)} and {lasted}; "
+        f"it took {words.counted(len(records.samples), 'measurement')}."
+    ]
     for phase in phases:
         if phase.attempt and not phase.characteristics:
             sentences.append(f"{phase.name.capitalize()} ({phase.outcome}): {phase.message}")
     for phase in phases:
         if phase.characteristics:
-            sentences.append(_of_characteristics(phase))
+            sentences.append(f"{phase.name.capitalize()} ({phase.outcome}): {_of_characteristics(phase)}.")
     if missing := [phase.name for phase in phases if not phase.attempt]:
         sentences.append(f"Not concluded: {', '.join(missing)}.")
-    if remedy := next((phase.remedy for phase in phases if phase.attempt and phase.remedy), ""):
+    if remedy := next((phase.remedy for phase in phases if phase.remedy and not phase.characteristics), ""):
         sentences.append(f"Remedy: {remedy}")
     return " ".join(sentences)
 
@@ -158,7 +163,7 @@ def _of_characteristics(phase: Phase) -> str:
     others = "".join(
         f"; {verbs.get(outcome, 'undefined')}: {', '.join(ids)}" for outcome, ids in by_outcome.items()
     )
-    return f"{phase.name.capitalize()}: {len(conforming)} of {total} proven to conform{others}."
+    return f"{len(conforming)} of {total} proven to conform{others}"
 
 
 def _overview(phases: Sequence[Phase]) -> Table:
@@ -173,7 +178,7 @@ def _overview(phases: Sequence[Phase]) -> Table:
         )
         for phase in phases
     )
-    columns = ("", "Phase", "Verdict", "Finding", "Measured", "Attempts")
+    columns = ("", "Phase", "Verdict", "Finding", "Measurements", "Attempts")
     return Table("Results at a glance", columns, rows, numeric=(0, 4, 5), outcome=2)
 
 
@@ -213,7 +218,9 @@ def _reasons(samples: Sequence[Sample], bad: Sequence[Sample]) -> str:
         for sample in samples
         if sample.mark
     ]
-    seen = [f"bad: {sample.payload['why']}" for sample in bad if not sample.mark and sample.payload.get("why")]
+    seen = [
+        f"bad: {sample.payload['why']}" for sample in bad if not sample.mark and sample.payload.get("why")
+    ]
     counts = Counter([*marked, *seen])
     return "; ".join(f"{count} {reason}" for reason, count in counts.items()) or NOTHING
 
@@ -243,13 +250,20 @@ def _incidents(records: Records) -> Table:
         if event.kind == "run" and event.data.get("run") == records.run.id:
             inside = not inside
         elif inside and event.kind in ("fault", "override", "resumed"):
-            rows.append((words.utc(event.utc_s), event.kind, event.text, str(event.data.get("remedy") or NOTHING)))
+            rows.append(
+                (words.utc(event.utc_s), event.kind, event.text, str(event.data.get("remedy") or NOTHING))
+            )
     return Table("Faults, overrides and resumptions", ("Time", "Kind", "What", "Remedy"), tuple(rows))
 
 
 def _artefacts(cell: dict[str, Any]) -> Table:
     rows = tuple(
-        (title, str(table["certificate"]), str(table.get("certified", NOTHING)), str(table.get("valid_to", NOTHING)))
+        (
+            title,
+            str(table["certificate"]),
+            str(table.get("certified", NOTHING)),
+            str(table.get("valid_to", NOTHING)),
+        )
         for title, table in (("Sphere bar", cell.get("bar", {})), ("Stylus sphere", cell.get("sphere", {})))
         if "certificate" in table
     )
@@ -266,5 +280,8 @@ def _fingerprints(records: Records) -> tuple[tuple[str, str], ...]:
             (f"Result of {result.phase}, attempt {result.attempt}", result.content_hash)
             for result in records.results
         ),
-        (f"Audit trail, entry {head.sequence} ({trail})" if head else "Audit trail", head.hash if head else "empty"),
+        (
+            f"Audit trail, entry {head.sequence} ({trail})" if head else "Audit trail",
+            head.hash if head else "empty",
+        ),
     )

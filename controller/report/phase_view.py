@@ -1,4 +1,4 @@
-"""One phase for the report: verdict, proofs, estimate, pictures. Keys that an older result lacks are left out."""
+"""One phase for the report: verdict, proofs, estimate, pictures; what a result does not hold is left out."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,6 @@ from controller.report.rounding import (
     NOTHING,
     against_limit,
     fixed,
-    percent,
     plain,
     share,
     shown_unit,
@@ -24,6 +23,7 @@ from estimation.statistics import Outcome
 Estimate = Mapping[str, Any]
 K: Final = 2.0  # coverage factor of single values
 MOST_BARS: Final = 8
+MOST_ROWS: Final = 10  # of a table of values, so that such tables fill columns evenly
 BUMP_FREEDOMS: Final = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"))
 
 
@@ -31,11 +31,14 @@ def phase_of(number: int, name: str, kind: str, results: Sequence[Result], taken
     """The view of a phase with its results, oldest first; without any it was begun or not performed."""
     purpose = words.PURPOSE.get(kind, kind)
     if not results:
-        message = f"Begun, {words.counted(taken, 'measurement')} taken, not concluded" if taken else "Not performed"
+        message = (
+            f"Begun, {words.counted(taken, 'measurement')} taken, not concluded" if taken else "Not performed"
+        )
         return Phase(number, name, purpose, Outcome.UNDEFINED.value, message, "", str(taken or NOTHING), 0)
     last = results[-1]
     verdict, estimate = last.result.get("verdict", {}), last.result.get("estimate", {})
     outcome, key = outcome_of(last.verdict), f"phase{number}"
+    own = {row["id"] for row in estimate.get("characteristics", ())}  # these have a table of their own
     return Phase(
         number=number,
         name=name,
@@ -50,7 +53,7 @@ def phase_of(number: int, name: str, kind: str, results: Sequence[Result], taken
             + words.sentence(result.result.get("verdict", {}).get("message", ""))
             for result in results[:-1]
         ),
-        proofs=_proofs(verdict.get("proofs", ())),
+        proofs=_proofs([proof for proof in verdict.get("proofs", ()) if proof["name"] not in own]),
         facts=tuple(_fit_facts(estimate.get("fit"))),
         tables=tuple(_tables(estimate)),
         estimates=tuple(_estimates(estimate)),
@@ -70,11 +73,16 @@ def outcome_of(text: str) -> Outcome:
 
 
 def _proofs(proofs: Sequence[Mapping[str, Any]]) -> Table | None:
-    rows = []
+    rows, before = [], ""
     for proof in proofs:
         value, limit = against_limit(float(proof["value"]), float(proof["limit"]))
         unit = proof.get("unit") or NOTHING
-        rows.append((proof["name"], value, limit, unit, proof["outcome"], proof.get("detail", "")))
+        detail = proof.get("detail", "")
+        if detail and detail == before:
+            detail = "as above"
+        else:
+            before = detail
+        rows.append((proof["name"], value, limit, unit, proof["outcome"], detail))
     if not rows:
         return None
     columns = ("Proof", "Value", "Limit", "Unit", "Outcome", "What it means")
@@ -86,8 +94,8 @@ def _rule(estimate: Estimate) -> str:
         return ""
     probability = float(estimate.get("conformance_probability", 0.95))
     return (
-        f"Decision rule: method of {estimate['decision_rule']}. OK and NotOK both need a probability of at least "
-        f"{plain(100 * probability)} %; an accepted value keeps the guard band from its limits. "
+        f"Decision rule: method of {estimate['decision_rule']}. OK and NotOK both need a probability of at "
+        f"least {plain(100 * probability)} %; an accepted value keeps the guard band from its limits. "
         "U = 2 u. Bar: tolerance zone, the part inside the guard bands darker; point and line: value ± U."
     )
 
@@ -98,11 +106,15 @@ def _fit_facts(fit: Mapping[str, Any] | None) -> list[str]:
     rejected = int(fit.get("rejected", 0))
     return [
         f"Fit: {words.counted(len(fit['standardised_residuals']), 'residual')}, "
-        f"chi-square {fit['chi2']:.1f} at {fit['dof']} degrees of freedom (p = {percent(fit['p_value'])}), "
+        f"chi-square {fit['chi2']:.1f} at {fit['dof']} degrees of freedom (p {_p_value(fit['p_value'])}), "
         f"variance factor {fit['variance_factor']:.2f}, "
         f"{words.counted(rejected, 'outlier') if rejected else 'no outlier'} rejected, "
         f"{words.counted(int(fit['iterations']), 'iteration')} ({fit['stop_reason']})."
     ]
+
+
+def _p_value(p_value: float) -> str:
+    return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"
 
 
 def _tables(estimate: Estimate) -> list[Table]:
@@ -119,7 +131,7 @@ def _tables(estimate: Estimate) -> list[Table]:
 def _gated(gated: Sequence[Mapping[str, Any]], limit_m: float | None) -> Table:
     rows = []
     for point in gated:
-        source, part = next(iter(point["budget"].items()), (NOTHING, 0.0))
+        source, part = next(iter(_by_share(point)), (NOTHING, 0.0))
         rows.append(
             (
                 point["point"],
@@ -130,8 +142,22 @@ def _gated(gated: Sequence[Mapping[str, Any]], limit_m: float | None) -> Table:
                 f"{source}, {share(part)}",
             )
         )
-    columns = ("Gated point", "Position / mm", "U / mm", "Limit / mm", "U / limit", "Largest source of variance")
+    columns = (
+        "Gated point",
+        "Position / mm",
+        "U / mm",
+        "Limit / mm",
+        "U / limit",
+        "Largest source of variance",
+    )
     return Table("Gated points", columns, tuple(rows), numeric=(1, 2, 3, 4))
+
+
+def _by_share(point: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """The budget, largest source first: the store keeps keys in alphabetical order."""
+    return sorted(
+        ((source, float(part)) for source, part in point["budget"].items()), key=lambda bar: -bar[1]
+    )
 
 
 def _shifts(shifts: Sequence[Mapping[str, Any]]) -> Table:
@@ -173,7 +199,16 @@ def _estimates(estimate: Estimate) -> list[Table]:
             u = math.sqrt(max(bump["covariance"][i][i], 0.0))
             groups.setdefault(title, []).append(_quantity(label, bump["value"][i], u, unit))
     columns = ("", "Value", "u", "U", "Unit")
-    return [Table(title, columns, tuple(rows), numeric=(1, 2, 3)) for title, rows in groups.items()]
+    return [
+        Table(
+            title + (", continued" if first else ""),
+            columns,
+            tuple(rows[first : first + MOST_ROWS]),
+            numeric=(1, 2, 3),
+        )
+        for title, rows in groups.items()
+        for first in range(0, len(rows), MOST_ROWS)
+    ]
 
 
 def _quantity(label: str, value: float, u: float, unit: str) -> tuple[str, ...]:
@@ -188,13 +223,13 @@ def _pictures(estimate: Estimate, key: str) -> list[Picture]:
     if gated := estimate.get("gated"):
         pictures += _gate_pictures(gated, estimate, key)
     fit = estimate.get("fit") or {}
-    if standardised := fit.get("standardised_residuals") or estimate.get("standardised"):
+    if standardised := fit.get("standardised_residuals"):
         pictures.append(
             Picture(
                 f"{key}-residuals",
                 Residuals(tuple(map(float, standardised))),
                 "Standardised residuals",
-                "Residuals over their standard deviations in the order of measurement, with lines at 2 and 3; "
+                "Residuals over their standard deviations in the order of measurement, lines at 2 and 3; "
                 "right: their distribution beside the standard normal one.",
                 wide=True,
             )
@@ -214,7 +249,7 @@ def _gate_pictures(gated: Sequence[Mapping[str, Any]], estimate: Estimate, key: 
         )
         for point in gated
     )
-    bars = [(source, float(part)) for source, part in worst["budget"].items()]
+    bars = _by_share(worst)
     if len(bars) > MOST_BARS:
         others = (f"{len(bars) - MOST_BARS + 1} others", sum(part for _, part in bars[MOST_BARS - 1 :]))
         bars = [*bars[: MOST_BARS - 1], others]

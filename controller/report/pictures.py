@@ -67,7 +67,8 @@ def _figure(width_in: float, height_in: float) -> Any:
 def _styled() -> Any:
     from matplotlib import rc_context
 
-    return rc_context(dict(STYLE))
+    settings: Any = dict(STYLE)  # the stubs list every key as a literal
+    return rc_context(settings)
 
 
 def _svg(figure: Any) -> str:
@@ -103,7 +104,7 @@ def ellipse_outline(axes: FloatArray, directions: FloatArray, plane: tuple[int, 
 
 
 def _ellipsoids(drawing: Ellipsoids) -> str:
-    reach = 1.12 * max(drawing.limit_mm, *(max(point.axes_mm) for point in drawing.points))
+    reach = 1.22 * max(drawing.limit_mm, *(max(point.axes_mm) for point in drawing.points))
     bar = _round_length(0.5 * reach)
     with _styled():
         figure = _figure(4.4, 2.15)
@@ -129,16 +130,34 @@ def _ellipsoids(drawing: Ellipsoids) -> str:
                 )
             if not named:
                 panel.plot([], [], color=ACCENT, alpha=0.4, linewidth=0.9, label="other gated points")
-            panel.set(xlim=(-reach, reach), ylim=(-1.2 * reach, reach), aspect="equal")
+            panel.set(xlim=(-reach, reach), ylim=(-1.15 * reach, 1.05 * reach), aspect="equal")
             panel.set_axis_off()
             panel.annotate(across, (reach, 0), ha="right", va="bottom", color=MUTED)
-            panel.annotate(up, (0, reach), ha="left", va="top", color=MUTED, xytext=(2, 0), textcoords="offset points")
-            panel.plot([-reach, -reach + bar], [-1.15 * reach] * 2, color=INK, linewidth=1.6, solid_capstyle="butt")
-            panel.annotate(f"{bar:g} mm", (-reach + bar, -1.15 * reach), xytext=(3, 0),
-                           textcoords="offset points", va="center", fontsize=6.5)
+            panel.annotate(
+                up, (0, reach), ha="left", va="top", color=MUTED, xytext=(2, 0), textcoords="offset points"
+            )
+            panel.plot(
+                [-reach, -reach + bar], [-1.1 * reach] * 2, color=INK, linewidth=1.6, solid_capstyle="butt"
+            )
+            panel.annotate(
+                f"{bar:g} mm",
+                (-reach + bar, -1.1 * reach),
+                xytext=(3, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=6.5,
+            )
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 3), frameon=False,
-                      fontsize=6.5, handlelength=1.6, columnspacing=1.4)
+        figure.legend(
+            handles,
+            labels,
+            loc="outside lower center",
+            ncols=min(len(labels), 3),
+            frameon=False,
+            fontsize=6.5,
+            handlelength=1.6,
+            columnspacing=1.4,
+        )
         return _svg(figure)
 
 
@@ -157,8 +176,14 @@ def _budget(drawing: Budget) -> str:
         places = np.arange(len(parts))
         panel.barh(places, parts, height=0.62, color=[STRONG] + [ACCENT] * (len(parts) - 1))
         for place, part in zip(places, parts, strict=True):
-            panel.annotate(f"{part:.0f} %", (part, place), xytext=(3, 0), textcoords="offset points", va="center",
-                           fontsize=6.5)
+            panel.annotate(
+                f"{part:.0f} %",
+                (part, place),
+                xytext=(3, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=6.5,
+            )
         panel.set_yticks(places, names)
         panel.set(xlim=(0, 1.18 * parts.max()), ylim=(len(parts) - 0.4, -0.6))
         panel.spines["bottom"].set_visible(False)
@@ -215,15 +240,18 @@ def _tolerance_bar(bar: ToleranceBar, title: str) -> str:
         start = bar.guard if bar.two_sided else 0.0
         inner = max(0.0, 1.0 - bar.guard - start) * width
         shapes.append(
-            f'<rect x="{left + start * width:.2f}" y="3" width="{inner:.2f}" height="{BAR_HEIGHT - 6}" fill="#bfd3e4"/>'
+            f'<rect x="{left + start * width:.2f}" y="3" width="{inner:.2f}" height="{BAR_HEIGHT - 6}" '
+            'fill="#bfd3e4"/>'
         )
     edges = (left, right) if bar.two_sided else (right,)
     shapes += [
-        f'<line x1="{x:g}" y1="1" x2="{x:g}" y2="{BAR_HEIGHT - 1}" stroke="{INK}" stroke-width="1"/>' for x in edges
+        f'<line x1="{x:g}" y1="1" x2="{x:g}" y2="{BAR_HEIGHT - 1}" stroke="{INK}" stroke-width="1"/>'
+        for x in edges
     ]
     low, high = place(bar.value - bar.expanded_u), place(bar.value + bar.expanded_u)
     shapes.append(
-        f'<line x1="{low:.2f}" y1="{middle:g}" x2="{high:.2f}" y2="{middle:g}" stroke="{colour}" stroke-width="1.6"/>'
+        f'<line x1="{low:.2f}" y1="{middle:g}" x2="{high:.2f}" y2="{middle:g}" stroke="{colour}" '
+        'stroke-width="1.6"/>'
     )
     x = place(bar.value)
     if left + bar.value * width > BAR_WIDTH - 6.0:
@@ -235,8 +263,9 @@ def _tolerance_bar(bar: ToleranceBar, title: str) -> str:
     else:
         shapes.append(f'<circle cx="{x:.2f}" cy="{middle:g}" r="3.2" fill="{colour}"/>')
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{_escaped(title)}" width="{BAR_WIDTH}" '
-        f'height="{BAR_HEIGHT}" viewBox="0 0 {BAR_WIDTH} {BAR_HEIGHT}">{"".join(shapes)}</svg>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{_escaped(title)}" '
+        f'width="{BAR_WIDTH}" height="{BAR_HEIGHT}" viewBox="0 0 {BAR_WIDTH} {BAR_HEIGHT}">'
+        f"{''.join(shapes)}</svg>"
     )
 
 

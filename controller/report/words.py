@@ -39,26 +39,28 @@ FREEDOMS: Final = {
 }
 
 READING_NOTES: Final = (
-    "u is a standard uncertainty, U = k u an expanded one: k = 2 for single values. At gated points U is the "
-    "longest half axis of the 95 % ellipsoid, k = 2.80 in three dimensions.",
-    "u is rounded to two digits and its value to the same place, for display only; decisions use full precision.",
-    "OK and NotOK are proven. NotDecidable means that neither could be claimed within the stated uncertainty; "
-    "Undefined means that nothing was measured that could decide.",
+    "u is a standard uncertainty, U = k u an expanded one: k = 2 for single values. At gated points U is "
+    "the longest half axis of the 95 % ellipsoid, k = 2.80 in three dimensions.",
+    "u is rounded to two digits and its value to the same place, for display only; decisions use full "
+    "precision.",
+    "OK and NotOK are proven. NotDecidable means that neither could be claimed within the stated "
+    "uncertainty; Undefined means that nothing was measured that could decide.",
 )
 
 POSE_NOTE: Final = (
-    "Poses: position, and fixed-axis angles about x, y, z. Their u is that of a small movement along or about "
-    "the axes of the object's own frame. Deviations are from the nominal value."
+    "Poses: position, and fixed-axis angles about x, y, z. Their u is that of a small movement along or "
+    "about the axes of the object's own frame. Deviations are from the nominal value."
 )
 
 DISCLAIMERS: Final = (
-    "It covers the listed characteristics of the measured part at the time of measurement only. It says nothing "
-    "about other characteristics, other parts, or later times.",
-    "It is not a certificate of conformity or calibration, and claims no compliance with or certification to any "
-    "standard. Decision rules and tests follow the method of the standards they name.",
-    "Uncertainties rest on the models and noise levels declared in the cell file and on the certificates of the "
-    "artefacts; truecell tests them for consistency but cannot replace those certificates.",
-    "truecell performs no safety function. Nothing in this report may be used to judge the safety of the cell.",
+    "It covers the listed characteristics of the measured part at the time of measurement only. It says "
+    "nothing about other characteristics, other parts, or later times.",
+    "It is not a certificate of conformity or calibration, and claims no compliance with or certification "
+    "to any standard. Decision rules and tests follow the method of the standards they name.",
+    "Uncertainties rest on the models and noise levels declared in the cell file and on the certificates of "
+    "the artefacts; truecell tests them for consistency but cannot replace those certificates.",
+    "truecell performs no safety function. Nothing in this report may be used to judge the safety "
+    "of the cell.",
 )
 
 SIMULATED: Final = "Simulated run: every reading came from a simulated cell. No physical part was measured."

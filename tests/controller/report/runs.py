@@ -7,7 +7,7 @@ import numpy as np
 from controller.gates import Proof, Verdict
 from controller.samples import Sample
 from controller.store import Store
-from estimation.statistics import Outcome, coverage_factor, decide
+from estimation.statistics import Outcome, decide
 
 STARTED_UTC_S = 1_790_000_000.0
 CELL_DIGEST = "c0ffee" + "0123456789abcdef" * 3 + "0123456789"
@@ -171,7 +171,7 @@ def noise(store: Store, run: int) -> None:
             0.00151 + 1e-5 * j,
             0.00189,
             "deg",
-            "standard deviation of one reading, 117 degrees of freedom, declared 0.0015 deg with the encoder step",
+            "standard deviation of one reading, 117 degrees of freedom, declared 0.0015 deg",
         )
         for j in (6, 5, 4, 3, 2, 1)
     )
