@@ -191,9 +191,9 @@ class SimulatedArm:
         """When the arm's standstill of that instant ends, as known now; the instant itself while it moves."""
         return min([drive.motion.rests_until(time_s) for drive in self.drives])
 
-    def speed_bounds_rad_s(self, time_s: float) -> FloatArray:
+    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
         """No joint (n,) is faster from then on, as planned now."""
-        return np.array([drive.motion.speed_bound(time_s) for drive in self.drives]) * COUNT_RAD
+        return np.array([drive.motion.speed_bound(start_s, end_s) for drive in self.drives]) * COUNT_RAD
 
     def plans(self) -> int:
         """Changes whenever the plan of any joint does."""

@@ -11,6 +11,7 @@ from simulators.truth import stream
 from simulators.world import World
 
 SHORTEST_STEP_S: Final = 1e-4
+LONGEST_STEP_S: Final = 0.1  # the motion looked ahead; a slow touch must not be paced by the fast move after it
 CONTACT_TIME_S: Final = 1e-6  # to which an instant of contact is found
 
 
@@ -26,8 +27,8 @@ class MovingArm(Protocol):
     def rests_until(self, time_s: float) -> float:
         """When the standstill that holds then ends; that instant itself if there is none."""
 
-    def speed_bounds_rad_s(self, time_s: float) -> FloatArray:
-        """No joint (n,) is faster from then on."""
+    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
+        """No joint (n,) is faster between these instants, as planned now."""
 
     def plans(self) -> int:
         """Changes whenever the planned motion does."""
@@ -95,9 +96,11 @@ class StylusContact:
         if math.isinf(resting_until):
             return math.inf
         self._time_s = resting_until
-        bound = float(self._arm.speed_bounds_rad_s(self._time_s) @ self._reaches)
+        horizon_s = self._time_s + LONGEST_STEP_S
+        bound = float(self._arm.speed_bounds_rad_s(self._time_s, horizon_s) @ self._reaches)
         missing = self._world.file.probe.release_m - self._gap_m if self.closed else self._gap_m
-        return self._time_s + max(missing / bound if bound else 0.0, SHORTEST_STEP_S)
+        step_s = missing / bound if bound else LONGEST_STEP_S
+        return self._time_s + min(max(step_s, SHORTEST_STEP_S), LONGEST_STEP_S)
 
     def _look(self, time_s: float) -> None:
         before_s, self._time_s = self._time_s, time_s

@@ -121,6 +121,10 @@ class AxisMotion:
             return time_s
         return self._starts[number + 1] if number + 1 < len(self._starts) else math.inf
 
-    def speed_bound(self, time_s: float) -> float:
-        """The axis is never faster from then on, as planned now."""
-        return max([abs(phase.velocity) for phase in self._phases[self.phase_number(time_s) :]])
+    def speed_bound(self, start_s: float, end_s: float) -> float:
+        """The axis is never faster between these instants, as planned now."""
+        first, last = self.phase_number(start_s), self.phase_number(end_s)
+        fastest = abs(self.velocity(end_s))  # speed is linear within a phase: the ends decide
+        for number in range(first, last + 1):
+            fastest = max(fastest, abs(self._phases[number].velocity))
+        return fastest

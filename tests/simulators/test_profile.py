@@ -1,5 +1,7 @@
 """Motion profiles: continuous, within limits, and at rest where they should end."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,7 +23,7 @@ def test_a_move_is_continuous_and_ends_at_rest_at_its_target(
     axis.follow(phases)
     assert axis.position(axis.end_s) == target and axis.velocity(axis.end_s) == 0
     scale = max(abs(start), abs(target), abs(velocity), speed, 1.0)
-    for before, after in zip(phases, phases[1:], strict=False):
+    for before, after in itertools.pairwise(phases):
         dt = after.start_s - before.start_s
         assert dt >= 0
         reached = before.position + before.velocity * dt + before.acceleration * dt * dt / 2
@@ -52,4 +54,4 @@ def test_the_past_stays_when_the_plan_changes() -> None:
     assert axis.end_s == pytest.approx(2.01)
     assert axis.rests_until(-1.0) == 0.0 and axis.rests_until(1.0) == 1.0
     assert axis.rests_until(5.0) == np.inf
-    assert axis.speed_bound(0.5) == pytest.approx(10.0) and axis.speed_bound(5.0) == 0.0
+    assert axis.speed_bound(0.5, 5.0) == pytest.approx(10.0) and axis.speed_bound(5.0, 6.0) == 0.0
