@@ -38,5 +38,5 @@ def pdf_of(report: Report, drawn: Mapping[str, str], clock_utc_s: float) -> byte
         format="pdf",
         font_paths=typst.Fonts(include_system_fonts=False, font_paths=[font_folder()]),
         sys_inputs={"content": content},
-        timestamp=datetime.fromtimestamp(clock_utc_s, UTC),
+        timestamp=datetime.fromtimestamp(int(clock_utc_s), UTC),  # typst refuses fractions
     )

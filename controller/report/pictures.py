@@ -177,7 +177,7 @@ def _budget(drawing: Budget) -> str:
         panel.barh(places, parts, height=0.62, color=[STRONG] + [ACCENT] * (len(parts) - 1))
         for place, part in zip(places, parts, strict=True):
             panel.annotate(
-                f"{part:.0f} %",
+                f"{part:.0f} %" if part >= 0.5 else "< 1 %",
                 (part, place),
                 xytext=(3, 0),
                 textcoords="offset points",

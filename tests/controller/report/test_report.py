@@ -17,7 +17,7 @@ from controller.store import Store
 from estimation.errors import StoreError
 from tests.controller.report import runs
 
-MADE_UTC_S = runs.STARTED_UTC_S + 9000.0
+MADE_UTC_S = runs.STARTED_UTC_S + 9000.123456
 
 
 @pytest.fixture
