@@ -192,7 +192,7 @@ class SimulatedArm:
         return min([drive.motion.rests_until(time_s) for drive in self.drives])
 
     def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
-        """No joint (n,) is faster from then on, as planned now."""
+        """No joint (n,) is faster between these instants, as planned now."""
         return np.array([drive.motion.speed_bound(start_s, end_s) for drive in self.drives]) * COUNT_RAD
 
     def plans(self) -> int:

@@ -11,7 +11,10 @@ from simulators.truth import stream
 from simulators.world import World
 
 SHORTEST_STEP_S: Final = 1e-4
-LONGEST_STEP_S: Final = 0.1  # the motion looked ahead; a slow touch must not be paced by the fast move after it
+LONGEST_STEP_S: Final = (
+    0.1  # the motion looked ahead; a slow touch must not be paced by the fast move after it
+)
+REARM_M: Final = 1e-4  # away from the surface, the next contact has a scatter of its own
 CONTACT_TIME_S: Final = 1e-6  # to which an instant of contact is found
 
 
@@ -52,6 +55,7 @@ class StylusContact:
         self.count = 0  # closings since power-on
         self.touches: list[Touch] = []
         self.deepest_m = 0.0  # how far the stylus was ever pushed in
+        self._released = False
         self._draw_scatter()
         self._time_s, self._safe_s = 0.0, -math.inf  # the gap is known then; no change until then
         self._plans, self._revision = -1, world.revision
@@ -79,7 +83,7 @@ class StylusContact:
         plans = self._arm.plans()
         if self._revision != self._world.revision:  # something was moved by hand: look again
             self._revision, self._time_s, self._safe_s = self._world.revision, time_s, -math.inf
-            self._gap_m, _ = self._gap(time_s)
+            self._look(time_s)
         if time_s < self._safe_s and plans == self._plans:
             return
         self._plans = plans
@@ -108,8 +112,11 @@ class StylusContact:
         if self.closed:
             self.deepest_m = max(self.deepest_m, -self._gap_m)
             if self._gap_m >= self._world.file.probe.release_m:
-                self.closed = False
-                self._draw_scatter()
+                self.closed, self._released = False, True
+        elif self._released and self._gap_m >= REARM_M:
+            self._released = False
+            self._draw_scatter()
+            self._gap_m, _ = self._gap(time_s)
         elif self._gap_m <= 0:
             self.closed = True
             self.count += 1

@@ -143,9 +143,8 @@ class OptoNcdt1420:
         reading_m = (true_m - self._offset_m) / (1 + self._scale) + noise
         share = (reading_m - self._spec.range_start_m) / self._spec.range_m
         code = np.rint((share * 100 + 1) * (LARGEST_DISTANCE / 102))
-        code[code < 0] = BEFORE_RANGE
-        code[(code > LARGEST_DISTANCE) & (code < TOO_MUCH_DATA)] = BEHIND_RANGE
-        code[np.isnan(code)] = NO_PEAK
+        errors = [np.isnan(code), code < 0, code > LARGEST_DISTANCE]
+        code = np.select(errors, [NO_PEAK, BEFORE_RANGE, BEHIND_RANGE], default=code)
         return code.astype(np.int64)
 
     # -- line ------------------------------------------------------------------------------------

@@ -1,0 +1,436 @@
+"""The arm on its bus: worked frames, state machine, motion, and what it does when its master is silent."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from simulators.arm import COUNT_RAD, Frame, SimulatedArm
+from simulators.drive_states import TRANSITIONS, Command, DriveState, command_of
+from simulators.truth import stream
+from simulators.world_file import WorldFile
+
+SYNC_S = 0.02
+ABSENT = [0x603F, *range(0x605A, 0x605F), 0x6067, 0x6068, 0x6084, 0x6085, 0x6099, 0x6071, 0x60FF]
+
+
+class Master:
+    """Speaks in bytes, keeps the time, remembers what it hears."""
+
+    def __init__(self, arm: SimulatedArm) -> None:
+        self.arm, self.time_s, self.heard = arm, 0.0, list[Frame]()
+
+    def send(self, can_id: int, data: bytes | str = b"") -> None:
+        self.arm.receive(can_id, bytes.fromhex(data) if isinstance(data, str) else data, self.time_s)
+
+    def wait(self, duration_s: float) -> list[Frame]:
+        self.time_s += duration_s
+        fresh = []
+        while (frame := self.arm.take(self.time_s)) is not None:
+            fresh.append(frame)
+        self.heard += fresh
+        return fresh
+
+    def sdo(self, node: int, request: str) -> str:
+        self.send(0x600 + node, request)
+        (answer,) = [frame for frame in self.wait(0.005) if frame.can_id == 0x580 + node]
+        return answer.data.hex(" ").upper()
+
+    def write(self, node: int, index: int, sub: int, value: int, size: int) -> str:
+        data = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + (value % 2**32).to_bytes(4, "little")
+        return self.sdo(node, data.hex())
+
+    def read(self, node: int, index: int, sub: int = 0) -> int:
+        answer = bytes.fromhex(self.sdo(node, struct.pack("<BHB4x", 0x40, index, sub).hex()))
+        assert answer[0] & 0xE0 == 0x40
+        return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little", signed=True)
+
+    def sync(self, count: int = 1) -> list[Frame]:
+        frames: list[Frame] = []
+        for _ in range(count):
+            self.send(0x080)
+            frames = self.wait(SYNC_S)
+        return frames
+
+    def status(self, node: int) -> int:
+        return self.read(node, 0x6041) & 0xFFFF
+
+    def enable(self, node: int = 3) -> None:
+        self.write(node, 0x6060, 0, 1, 1)
+        for word in (6, 7, 15):
+            self.write(node, 0x6040, 0, word, 2)
+        self.wait(0.1)
+        assert self.status(node) & 0x6F == 0x27
+
+    def move(self, counts: int, speed: int, node: int = 3, word: int = 0x1F) -> None:
+        self.write(node, 0x607A, 0, counts, 4)
+        self.write(node, 0x6081, 0, speed, 4)
+        self.write(node, 0x6040, 0, word, 2)
+        self.write(node, 0x6040, 0, word & ~0x10, 2)
+
+    def joint_counts(self, joint: int = 0) -> float:
+        self.arm.advance(self.time_s)
+        return round(float(self.arm.joints_at(self.time_s)[joint] / COUNT_RAD), 6)
+
+
+@pytest.fixture
+def arm(world_file: WorldFile) -> SimulatedArm:
+    return SimulatedArm(world_file.arm, stream(1, "test"), np.zeros(6))
+
+
+@pytest.fixture
+def master(arm: SimulatedArm) -> Master:
+    return Master(arm)
+
+
+def test_worked_frames(master: Master) -> None:
+    assert master.sdo(3, "2F 60 60 00 07 00 00 00") == "60 60 60 00 00 00 00 00"
+    assert master.sdo(3, "40 99 60 00 00 00 00 00") == "80 99 60 00 00 00 02 06"
+    assert master.sdo(3, "40 41 60 00 00 00 00 00") == "4B 41 60 00 50 02 00 00"
+    master.write(3, 0x1017, 0, 100, 2)
+    master.send(0x000, "01 03")
+    beats = [frame for frame in master.wait(0.25) if frame.can_id == 0x703]
+    assert [frame.data for frame in beats] == [b"\x05", b"\x05"]
+
+
+def test_position_and_status_travel_as_in_the_manual(arm: SimulatedArm, master: Master) -> None:
+    master.enable()
+    master.move(45_678, 90_000)
+    master.wait(2.0)
+    master.send(0x000, "01 03")
+    frames = {frame.can_id: frame.data.hex(" ").upper() for frame in master.sync()}
+    assert frames[0x383] == "6E B2 00 00 00 00 00 00"
+    assert frames[0x183] == "37 06 01"
+    assert frames[0x283] == "00 00 00 00 00 00 00 00"
+
+
+@pytest.mark.parametrize("index", ABSENT)
+def test_what_the_device_file_does_not_have_is_aborted(master: Master, index: int) -> None:
+    assert master.sdo(5, struct.pack("<BHB4x", 0x40, index, 0).hex()).endswith("00 00 02 06")
+
+
+def test_refusals_name_their_reason(master: Master) -> None:
+    assert master.write(3, 0x6041, 0, 1, 2).endswith("02 00 01 06")  # read only
+    assert master.write(3, 0x6060, 0, 8, 1).endswith("30 00 09 06")  # 6502h = 43h: modes 1, 2, 7
+    assert master.write(3, 0x6040, 0, 6, 4).endswith("10 00 07 06")  # length
+    assert master.sdo(3, "40 18 10 09 00 00 00 00").endswith("11 00 09 06")  # subindex
+    assert master.sdo(3, "60 00 00 00 00 00 00 00").startswith("80")  # segment of nothing
+    assert master.read(3, 0x6502) == 0x43
+
+
+def test_a_text_comes_in_segments(master: Master) -> None:
+    assert master.sdo(4, "40 0A 10 00 00 00 00 00").startswith("41 0A 10 00")
+    text = b""
+    for toggle in (0, 1, 0, 1, 0):
+        answer = bytes.fromhex(master.sdo(4, f"{0x60 | toggle << 4:02x}" + "00" * 7))
+        assert answer[0] >> 4 & 1 == toggle
+        text += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        if answer[0] & 1:
+            break
+    assert text.decode("ascii").endswith("simulated")
+
+
+def test_who_restarts_forgets_and_does_not_hear_until_boot_up(master: Master, world_file: WorldFile) -> None:
+    master.write(3, 0x6060, 0, 1, 1)
+    master.write(3, 0x1017, 0, 100, 2)
+    master.send(0x000, "81 03")
+    master.send(0x000, "01 03")  # lost: the drive has not booted
+    assert not master.wait(world_file.arm.boot_time_s - 0.01)
+    (boot,) = master.wait(0.05)
+    assert (boot.can_id, boot.data) == (0x703, b"\x00")
+    assert not master.sync()  # not started, so no process data
+    assert master.read(3, 0x6060) == 7 and master.read(3, 0x1017) == 0
+    assert master.read(4, 0x6060) == 7
+
+
+STATE_WORDS = {
+    Command.DISABLE_VOLTAGE: 0x00,
+    Command.QUICK_STOP: 0x02,
+    Command.SHUTDOWN: 0x06,
+    Command.SWITCH_ON: 0x07,
+    Command.ENABLE: 0x0F,
+}
+WAY = {
+    DriveState.SWITCH_ON_DISABLED: [],
+    DriveState.READY_TO_SWITCH_ON: [0x06],
+    DriveState.SWITCHED_ON: [0x06, 0x07],
+    DriveState.OPERATION_ENABLED: [0x06, 0x07, 0x0F],
+}
+
+
+@pytest.mark.parametrize("state", WAY)
+@pytest.mark.parametrize("command", Command)
+def test_every_row_of_the_state_machine(master: Master, state: DriveState, command: Command) -> None:
+    assert command_of(STATE_WORDS[command]) is command
+    for word in WAY[state]:
+        master.write(3, 0x6040, 0, word, 2)
+        master.wait(0.1)
+    assert master.status(3) & 0x6F == state | (0x40 if state.value == 0x40 else 0)
+    master.write(3, 0x6040, 0, STATE_WORDS[command], 2)
+    master.wait(0.1)
+    expected = TRANSITIONS.get((state, command), state)
+    if expected is DriveState.QUICK_STOP_ACTIVE:  # which ends by itself once at rest
+        expected = DriveState.SWITCH_ON_DISABLED
+    assert master.status(3) & 0x6F & (0x4F if expected.value == 0x40 else 0x6F) == expected
+
+
+def test_a_fault_is_latched_and_stops_one_joint_alone(arm: SimulatedArm, master: Master) -> None:
+    for node in (3, 4):
+        master.enable(node)
+        master.move(60_000, 20_000, node)
+    arm.fault(0, 0x8611, master.time_s)
+    emergency = next(frame for frame in master.wait(0.01) if frame.can_id == 0x083)
+    assert emergency.data.hex(" ").upper() == "11 86 21 00 00 00 00 00"
+    master.wait(0.5)
+    rest = master.joint_counts(0)
+    master.wait(0.5)
+    assert master.joint_counts(0) == rest and master.status(3) & 0x4F == 0x08
+    assert master.status(4) & 0x6F == 0x27 and arm.standstill(master.time_s) is None
+    assert master.read(3, 0x1003, 1) == -0x10000 + 0x8611 + 0x10000
+    master.write(3, 0x6040, 0, 0x0F, 2)
+    assert master.status(3) & 0x4F == 0x08
+    master.write(3, 0x6040, 0, 0x80, 2)
+    assert master.status(3) & 0x4F == 0x40
+
+
+# -- process data --------------------------------------------------------------------------------
+
+
+def map_position_and_status(master: Master, node: int = 3) -> None:
+    """TPDO1: statusword and position; the others off."""
+    for pdo in range(4):
+        cob = 0x180 + 0x100 * pdo + node
+        master.write(node, 0x1800 + pdo, 1, cob | 1 << 31, 4)
+    assert master.write(node, 0x1A00, 0, 0, 1).startswith("60")
+    assert master.write(node, 0x1A00, 1, 0x60410010, 4).startswith("60")
+    assert master.write(node, 0x1A00, 2, 0x60640020, 4).startswith("60")
+    assert master.write(node, 0x1A00, 0, 2, 1).startswith("60")
+    assert master.write(node, 0x1800, 1, 0x180 + node, 4).startswith("60")
+
+
+def test_process_data_can_be_mapped_at_run_time(master: Master) -> None:
+    map_position_and_status(master)
+    master.send(0x000, "01 03")
+    (frame,) = master.sync()
+    assert frame.can_id == 0x183 and len(frame.data) == 6
+
+
+def test_the_order_of_mapping_matters(master: Master) -> None:
+    assert master.write(3, 0x1A00, 0, 0, 1).endswith("22 00 00 08")  # the PDO is in use
+    master.write(3, 0x1800, 1, 0x183 | 1 << 31, 4)
+    assert master.write(3, 0x1A00, 1, 0x60640020, 4).endswith("22 00 00 08")  # count is not zero
+    master.write(3, 0x1A00, 0, 0, 1)
+    assert master.write(3, 0x1A00, 1, 0x60650020, 4).endswith("41 00 04 06")  # not mappable
+    assert master.write(3, 0x1A00, 1, 0x60840020, 4).endswith("00 00 02 06")  # not there
+    for sub in (1, 2, 3):
+        master.write(3, 0x1A00, sub, 0x60640020, 4)
+    assert master.write(3, 0x1A00, 0, 3, 1).endswith("42 00 04 06")  # 12 bytes
+
+
+def test_the_unused_word_of_the_first_receive_pdo_counts(master: Master) -> None:
+    master.enable(3)
+    master.write(3, 0x6060, 0, 7, 1)
+    master.send(0x000, "01 03")
+    start = round(master.joint_counts())
+    for step in range(1, 6):
+        master.send(0x203, struct.pack("<Hhi", 0x1F, -1, start + 100 * step))
+        master.sync()
+    master.sync()
+    assert master.joint_counts() == pytest.approx(start + 500)
+
+
+def test_set_points_act_at_the_next_sync_only(master: Master) -> None:
+    master.enable(3)
+    master.send(0x000, "01 03")
+    master.send(0x303, struct.pack("<iI", 5000, 50_000))
+    master.send(0x203, struct.pack("<Hhi", 0x1F, 0, 0))
+    master.wait(0.2)
+    assert master.joint_counts() == 0
+    answered = master.sync()
+    assert next(f for f in answered if f.can_id == 0x183).data[1] & 0x10 == 0  # sampled before
+    acknowledged = master.sync()
+    assert next(f for f in acknowledged if f.can_id == 0x183).data[1] & 0x14 == 0x10
+    master.sync(40)
+    assert master.joint_counts() == 5000
+
+
+def test_a_set_point_with_values_of_the_same_frame_uses_them(master: Master) -> None:
+    master.enable(3)
+    master.write(3, 0x1400, 1, 0x203 | 1 << 31, 4)
+    master.write(3, 0x1600, 0, 0, 1)
+    master.write(3, 0x1600, 1, 0x60400010, 4)  # controlword first
+    master.write(3, 0x1600, 2, 0x607A0020, 4)
+    master.write(3, 0x1600, 0, 2, 1)
+    master.write(3, 0x1400, 1, 0x203, 4)
+    master.send(0x000, "01 03")
+    master.send(0x203, struct.pack("<Hi", 0x1F, 7000))
+    master.sync(200)
+    assert master.joint_counts() == 7000
+
+
+# -- motion --------------------------------------------------------------------------------------
+
+
+def test_a_move_obeys_speed_and_acceleration(master: Master) -> None:
+    master.enable()
+    master.write(3, 0x6083, 0, 100_000, 4)
+    master.move(30_000, 20_000)
+    master.wait(0.5)
+    assert master.read(3, 0x606C) == 20_000 and not master.status(3) & 0x400
+    master.wait(30_000 / 20_000 + 20_000 / 100_000)
+    assert master.status(3) & 0x400 and master.joint_counts() == 30_000
+
+
+def test_the_motors_have_a_top_speed(master: Master, world_file: WorldFile) -> None:
+    master.enable()
+    master.move(100_000, 1_000_000)
+    master.wait(0.7)
+    assert master.read(3, 0x606C) * COUNT_RAD == pytest.approx(world_file.arm.speed_limit_rad_s, rel=1e-4)
+
+
+def test_a_target_beyond_the_limit_is_cut_and_flagged(master: Master) -> None:
+    master.enable()
+    master.move(175_000, 90_000)
+    master.wait(5)
+    assert master.joint_counts() == 170_000 and master.status(3) & 0xC00 == 0xC00
+
+
+def test_halt_interrupts_and_its_end_resumes(master: Master) -> None:
+    master.enable()
+    master.move(40_000, 20_000)
+    master.wait(0.5)
+    master.write(3, 0x6040, 0, 0x10F, 2)
+    master.wait(0.5)
+    rest = master.joint_counts()
+    assert master.read(3, 0x606C) == 0 and 0 < rest < 40_000 and master.status(3) & 0x6F == 0x27
+    master.write(3, 0x6040, 0, 0x00F, 2)
+    master.wait(3)
+    assert master.joint_counts() == 40_000
+
+
+def test_a_new_set_point_replaces_a_halted_move(master: Master) -> None:
+    master.enable()
+    master.move(40_000, 20_000)
+    master.wait(0.5)
+    master.write(3, 0x6040, 0, 0x10F, 2)
+    master.wait(0.5)
+    master.move(-10_000, 20_000, word=0x3F)
+    master.wait(6)
+    assert master.joint_counts() == -10_000
+
+
+def test_set_points_queue_unless_told_otherwise(master: Master) -> None:
+    master.enable()
+    master.move(20_000, 20_000)
+    master.wait(0.3)
+    master.move(0, 20_000)
+    assert master.status(3) & 0x1000  # its buffer is full
+    master.wait(0.9)
+    assert master.joint_counts() > 15_000
+    master.wait(2)
+    assert master.joint_counts() == 0 and master.status(3) & 0x1400 == 0x400
+
+
+def test_quick_stop_is_quick_and_disables(master: Master) -> None:
+    master.enable()
+    master.move(80_000, 80_000)
+    master.wait(0.8)
+    before = master.joint_counts()
+    master.write(3, 0x6040, 0, 0x02, 2)
+    master.wait(0.5)
+    assert master.joint_counts() - before < 80_000**2 / (2 * 800_000) * 1.5
+    assert master.status(3) & 0x4F == 0x40
+
+
+def test_only_fast_moves_are_sped_up_and_all_joints_alike(world_file: WorldFile) -> None:
+    master = Master(SimulatedArm(world_file.arm, stream(1, "test"), np.zeros(6), motion_speed=10))
+    for node in (3, 4):
+        master.enable(node)
+        master.send(0x000, bytes([1, node]))
+    for node, counts, speed in ((3, 40_000, 20_000), (4, 4_000, 2_000)):
+        master.send(0x300 + node, struct.pack("<iI", counts, speed))
+        master.send(0x200 + node, struct.pack("<Hhi", 0x1F, 0, 0))
+    master.sync(13)  # 2.1 s, ten times faster
+    assert (master.joint_counts(0), master.joint_counts(1)) == (40_000, 4_000)
+    master.move(0, 2_000, node=4)
+    master.wait(1.0)
+    assert master.joint_counts(1) > 1_500
+
+
+# -- watchdogs -----------------------------------------------------------------------------------
+
+
+def test_a_silent_sync_during_motion_stops_the_arm(master: Master) -> None:
+    master.enable()
+    master.send(0x000, "01 03")
+    master.write(3, 0x1006, 0, 20_000, 4)
+    master.sync()
+    master.move(60_000, 10_000)
+    master.sync(20)
+    assert not [frame for frame in master.heard if frame.can_id == 0x083]
+    frames = master.wait(1.0)  # 200Eh = 6 periods of 20 ms
+    emergency = next(frame for frame in frames if frame.can_id == 0x083)
+    assert emergency.data[:3].hex(" ") == "30 81 11"
+    assert emergency.time_s == pytest.approx(master.time_s - 1.0 + 0.1, abs=0.01)
+    assert master.status(3) & 0x4F == 0x08 and master.joint_counts() < 10_000
+
+
+def test_a_silent_sync_at_rest_is_nothing(master: Master) -> None:
+    master.enable()
+    master.send(0x000, "01 03")
+    master.sync()
+    master.wait(10)
+    assert master.status(3) & 0x6F == 0x27
+
+
+def test_a_master_that_was_heard_must_go_on(master: Master) -> None:
+    master.enable()
+    master.write(3, 0x1016, 1, 1 << 16 | 300, 4)
+    master.wait(5)
+    assert master.status(3) & 0x6F == 0x27  # never heard, so not missed
+    for _ in range(10):
+        master.send(0x701, "05")
+        master.wait(0.1)
+    assert master.status(3) & 0x6F == 0x27
+    master.move(60_000, 5_000)
+    master.wait(1.0)
+    assert master.status(3) & 0x4F == 0x08
+    assert any(frame.can_id == 0x083 and frame.data[:2] == b"\x30\x81" for frame in master.heard)
+
+
+def test_without_run_permission_nothing_can_be_enabled(arm: SimulatedArm, master: Master) -> None:
+    master.enable()
+    master.move(60_000, 5_000)
+    arm.permit(False, master.time_s)
+    master.wait(0.5)
+    assert master.status(3) & 0x4F == 0x40 and master.read(3, 0x20A0, 7) == 0
+    for word in (6, 7, 15):
+        master.write(3, 0x6040, 0, word, 2)
+    assert master.status(3) & 0x4F == 0x40
+    arm.permit(True, master.time_s)
+    master.enable()
+
+
+# -- readings ------------------------------------------------------------------------------------
+
+
+def test_readings_scatter_as_declared(world_file: WorldFile) -> None:
+    factors = np.array([1, 1, 1, 3, 1, 1])
+    master = Master(SimulatedArm(world_file.arm, stream(1, "test"), factors))
+    master.send(0x000, "01 00")
+    readings = np.array(
+        [
+            [int.from_bytes(frame.data[:4], "little", signed=True) for frame in frames[:6]]
+            for frames in (
+                sorted((f for f in master.sync() if f.can_id >> 7 == 0x380 >> 7), key=lambda f: f.can_id)
+                for _ in range(2000)
+            )
+        ]
+    )
+    expected = np.sqrt((factors * world_file.arm.noise_rad / COUNT_RAD) ** 2 + 1 / 12)
+    np.testing.assert_allclose(readings.std(axis=0), expected, rtol=0.08)
+    np.testing.assert_allclose(
+        readings.mean(axis=0), world_file.arm.start_joints_rad / COUNT_RAD, atol=5 * 4.5 / np.sqrt(2000)
+    )
+    correlation = np.corrcoef(readings.T) - np.eye(6)
+    assert np.abs(correlation).max() < 0.12
