@@ -209,8 +209,8 @@ def _measurements(records: Records) -> Table:
         )
     columns = ("Phase", "Attempt", "Taken", "Usable", "Excluded", "Retaken", "Bad", "Outliers", "Reasons")
     note = (
-        "Every measurement stays in the store. Usable: good and unmarked; points that only search for the part "
-        "are usable but not fitted."
+        "Every measurement stays in the store. Usable: good and unmarked; points that only search for the "
+        "part are usable but not fitted."
     )
     return Table("Measurements", columns, tuple(rows), numeric=(1, 2, 3, 4, 5, 6, 7), note=note)
 
