@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers import canopen_arm_codec as codec
 from drivers.canopen_arm_setup import ArmConfig, ArmSetup
+from drivers.canopen_arm_units import JointUnits
 from drivers.canopen_master import CanopenMaster, Sample
 from drivers.capabilities import Identity, JointReadings, LinkHealth, TouchProbe
 from drivers.clock import Clock
@@ -49,11 +50,14 @@ class CanopenArm:
             sync_period_s=config.sync_period_s,
             sdo_timeout_s=config.sdo_timeout_s,
             master_id=config.master_id,
+            heartbeat_timeout_s=config.heartbeat_timeout_s,
+            most_missed_syncs=config.most_missed_syncs,
             on_fault=self._quick_stop_all,
         )
         self._setup = ArmSetup(self._master, clock, config, master_is_watched=keep_alive_thread)
         self._joints = len(config.node_ids)
-        self._window = max(1, round(config.in_position_rad * config.counts_per_rad))
+        self._units = JointUnits(config)
+        self._window = self._units.window
         self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
         self._stop_requested = False
         self._connected, self._opened = False, 0
@@ -76,9 +80,14 @@ class CanopenArm:
             identity = self._setup.configure()
             self._master.start_nodes()
             self._connected = True
-            if not self._stop_requested:
-                self._enable(reset_faults=True)
-            self._setup.check_mode()
+            try:
+                if not self._stop_requested:
+                    self._enable(reset_faults=True)
+                self._setup.check_mode()
+            except BaseException:
+                self._connected = False
+                self._master.stop_sync()
+                raise
         if self._keep_alive_thread:
             self._master.start_keeper()
         return identity
@@ -115,7 +124,7 @@ class CanopenArm:
         """
         if not 0.0 < speed_fraction <= 1.0:
             raise DeviceError(f"Speed fraction {speed_fraction:g}", "Give a fraction in (0, 1]")
-        target = self._counts(target_rad)
+        target = self._units.counts(target_rad)
         speed_rad_s = np.array(self._config.speed_limit_rad_s) * speed_fraction
         with self._at_rest_on_error():
             deadline_s = self._start(target, speed_rad_s)
@@ -123,7 +132,7 @@ class CanopenArm:
             while not self._arrived(previous, sample := self._motion_sample(), target):
                 previous = sample
                 if self._clock.now_s() > deadline_s:
-                    raise self._not_at_target(sample, target)
+                    raise self._units.not_at_target(sample.counts, target)
             self._wait(self._config.settle_time_s)
 
     def move_until_contact(
@@ -134,7 +143,7 @@ class CanopenArm:
         The joints are interpolated between the SYNC samples around the time of contact. None if the target
         was reached without contact. At rest on return. Raises as `move_joints`, and what the probe raises.
         """
-        target = self._counts(target_rad)
+        target = self._units.counts(target_rad)
         limits = np.minimum(np.array(self._config.speed_limit_rad_s), speed_rad_s)
         with self._at_rest_on_error():
             deadline_s = self._start(target, limits)
@@ -150,7 +159,7 @@ class CanopenArm:
                 if self._arrived(seen, sample, target):
                     return None
                 if self._clock.now_s() > deadline_s:
-                    raise self._not_at_target(sample, target)
+                    raise self._units.not_at_target(sample.counts, target)
                 seen = sample
             # The SYNC that makes the halt act also samples the joints: the first sample after the contact.
             self._command(codec.ENABLE | codec.HALT)
@@ -158,7 +167,7 @@ class CanopenArm:
             self._master.hurry()
             while self._motion_sample().time_s < touched_s:
                 pass
-            joints_rad = self._joints_at(touched_s)
+            joints_rad = self._units.joints_at(touched_s, list(self._master.samples))
             self._halt_and_wait()
             return joints_rad
 
@@ -376,50 +385,11 @@ class CanopenArm:
         while self._clock.now_s() < until_s:
             self._motion_sample()
 
-    # --- values and errors ---------------------------------------------------------------------------
-
-    def _counts(self, target_rad: FloatArray) -> list[int]:
-        """Target in counts, refused outside the joint limits."""
-        target = np.asarray(target_rad, dtype=np.float64)
-        if target.shape != (self._joints,) or not np.isfinite(target).all():
-            raise DeviceError(
-                f"Joint target of shape {target.shape} with values {target}",
-                f"Give {self._joints} finite angles",
-            )
-        lower, upper = np.array(self._config.lower_rad), np.array(self._config.upper_rad)
-        outside = np.flatnonzero((target < lower) | (target > upper))
-        if outside.size:
-            i = int(outside[0])
-            low, value, high = np.degrees((lower[i], target[i], upper[i]))
-            raise DeviceError(
-                f"Target of joint {i + 1} is {value:.3f} deg, limits {low:.3f} to {high:.3f} deg",
-                "Choose a pose inside the joint limits",
-            )
-        return [round(float(angle) * self._config.counts_per_rad) for angle in target]
-
-    def _joints_at(self, time_s: float) -> FloatArray:
-        """Joints (joints,) rad, on the line between the samples before and after `time_s`."""
-        samples = list(self._master.samples)[-64:]
-        after = next((i for i, s in enumerate(samples) if s.time_s >= time_s), len(samples) - 1)
-        late, early = samples[after], samples[max(after - 1, 0)]
-        span_s = late.time_s - early.time_s
-        part = min(max((time_s - early.time_s) / span_s, 0.0), 1.0) if span_s > 0.0 else 1.0
-        counts = (1.0 - part) * np.array(early.counts) + part * np.array(late.counts)
-        return np.asarray(counts / self._config.counts_per_rad, dtype=np.float64)
+    # --- errors -------------------------------------------------------------------------------------
 
     def _require_connection(self) -> None:
         if not self._connected:
             raise DeviceError("The arm is not connected", "Connect it first")
-
-    def _not_at_target(self, sample: Sample, target: list[int]) -> DeviceError:
-        scale = 180.0 / math.pi / self._config.counts_per_rad
-        errors = [abs(now - wanted) for now, wanted in zip(sample.counts, target, strict=True)]
-        worst = max(range(self._joints), key=errors.__getitem__)
-        return DeviceError(
-            f"Joint {worst + 1} is at {sample.counts[worst] * scale:.3f} deg instead of "
-            f"{target[worst] * scale:.3f} deg, window {self._window * scale:.3f} deg",
-            "Check for an obstacle, the payload and the speed, then reset",
-        )
 
     @staticmethod
     def _stopped() -> MotionStopped:

@@ -41,6 +41,8 @@ class ArmConfig:
     boot_timeout_s: float = 5.0
     sdo_timeout_s: float = 0.3
     move_margin_s: float = 2.0  # allowed on top of the computed duration of a move
+    heartbeat_timeout_s: float = 2.5 * HEARTBEAT_PERIOD_S  # a node silent for so long is lost
+    most_missed_syncs: int = 3  # unanswered in a row
     sync_timeout_factor: int | None = None  # 200Eh; None leaves what the drive has
 
 

@@ -19,8 +19,6 @@ from drivers.links import CanLink
 from estimation.errors import DeviceError, DeviceTimeout
 
 HEARTBEAT_PERIOD_S: Final = 0.1
-HEARTBEAT_TIMEOUT_S: Final = 2.5 * HEARTBEAT_PERIOD_S
-MOST_MISSED_SYNCS: Final = 3
 MOST_DOUBLE_ANSWERS: Final = 10  # in DOUBLE_WINDOW SYNCs; a few are a link that repeats frames
 DOUBLE_WINDOW: Final = 50
 KEEPER_SLICE_S: Final = 0.005
@@ -74,9 +72,12 @@ class CanopenMaster:
         sync_period_s: float,
         sdo_timeout_s: float,
         master_id: int,
+        heartbeat_timeout_s: float,
+        most_missed_syncs: int,
         on_fault: Callable[[], None],
     ) -> None:
         self._link, self._clock, self._on_fault = link, clock, on_fault
+        self._heartbeat_timeout_s, self._most_missed = heartbeat_timeout_s, most_missed_syncs
         self.node_ids = tuple(node_ids)
         self._period_s, self._heartbeat_id = sync_period_s, codec.HEARTBEAT + master_id
         self.sdo = SdoPort(link, node_ids, self._pump_for_sdo, sdo_timeout_s)
@@ -225,11 +226,11 @@ class CanopenMaster:
         receive, now_s, dispatch = self._link.receive, self._clock.now_s, self._dispatch
         news = self._news
         now = now_s()
-        if now > self._next_sync_s + self._period_s:  # nobody pumped: first hear what the nodes said
-            self._drain(now + DRAIN_LIMIT_S)
-            now = self._next_sync_s = now_s()
         while True:
             if now >= self._next_sync_s:
+                if now > self._next_sync_s + self._period_s:  # we were away: hear first what the nodes said
+                    self._drain(now + DRAIN_LIMIT_S)
+                    now = self._next_sync_s = now_s()
                 self._send_sync(now)
             if self._news != news:
                 return
@@ -247,7 +248,6 @@ class CanopenMaster:
                 return
 
     def _drain(self, until_s: float) -> None:
-        self._awaiting = False
         while (frame := self._link.receive(0.0)) is not None and self._clock.now_s() < until_s:
             self._dispatch(frame.can_id, frame.data, frame.time_s)
 
@@ -261,7 +261,7 @@ class CanopenMaster:
             self._awaiting = False
             self._missed += 1
             self.timeouts += 1
-            if self._missed >= MOST_MISSED_SYNCS:
+            if self._missed >= self._most_missed:
                 silent = [i for i in range(len(self.node_ids)) if not self._answered >> i & 1]
                 self._latch(
                     DeviceTimeout(
@@ -369,12 +369,12 @@ class CanopenMaster:
             )
 
     def _watch(self, now: float) -> None:
-        if now - min(self._heard_s) > HEARTBEAT_TIMEOUT_S:
-            lost = [i for i, heard_s in enumerate(self._heard_s) if now - heard_s > HEARTBEAT_TIMEOUT_S]
+        if now - min(self._heard_s) > self._heartbeat_timeout_s:
+            lost = [i for i, heard_s in enumerate(self._heard_s) if now - heard_s > self._heartbeat_timeout_s]
             self.timeouts += len(lost)
             self._latch(
                 DeviceTimeout(
-                    f"{self.name(lost)} lost: no heartbeat for {HEARTBEAT_TIMEOUT_S:g} s",
+                    f"{self.name(lost)} lost: no heartbeat for {self._heartbeat_timeout_s:g} s",
                     "Check power and CAN wiring of this joint, then reset",
                 )
             )

@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from estimation.transform import FloatArray
+
+NEGLIGIBLE_RAD: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +34,7 @@ def synchronize(
     joint-space line that was checked for collisions, also on the ramps.
     """
     distance = np.abs(np.asarray(distance_rad, dtype=np.float64))
-    moving = distance > 0.0
+    moving = distance > NEGLIGIBLE_RAD
     if not moving.any():
         return SynchronizedMove(np.zeros_like(distance), np.zeros_like(distance), 0.0)
     rate = float(np.min(speed_limit_rad_s[moving] / distance[moving]))  # 1/s, of s(t)

@@ -44,15 +44,15 @@ class StreamDecoder:
 
     def __init__(self) -> None:
         self.bad_bytes = 0
-        self._rest, self._discard = b"", 0
+        self._rest, self._discard, self._cut = b"", False, False
 
     def reset(self) -> None:
-        """Forget an incomplete value."""
-        self._rest = b""
+        """After input was dropped: forget an incomplete value, and expect the end of another."""
+        self._rest, self._cut = b"", True
 
     def discard_next(self) -> None:
         """After a reply: its text and a cut value can together look like one value."""
-        self._discard = 1
+        self._discard = True
 
     def feed(self, data: bytes) -> CodeArray:
         """The values (n,) that are complete with these bytes."""
@@ -64,11 +64,15 @@ class StreamDecoder:
         tail = flags[max(end, buffer.size - 2) :].tolist()
         kept = 2 if tail == [0, 1] else 1 if tail and tail[-1] == 0 else 0
         self._rest = buffer[buffer.size - kept :].tobytes()
-        self.bad_bytes += buffer.size - kept - 3 * starts.size
+        expected = 0
+        if self._cut and buffer.size:
+            self._cut, first = False, flags[:2].tolist()
+            expected = 2 if first[0] == 1 and first[-1] >= 2 else 1 if first[0] >= 2 else 0
+        self.bad_bytes += buffer.size - kept - expected - 3 * starts.size
         bits = buffer.astype(np.int64) & 0x3F
         codes: CodeArray = bits[starts] | bits[starts + 1] << 6 | bits[starts + 2] << 12
         if self._discard and codes.size:
-            self._discard, codes = 0, codes[1:]
+            self._discard, codes = False, codes[1:]
         return codes
 
 

@@ -8,7 +8,9 @@ import pytest
 
 from drivers.canopen_arm import CanopenArm
 from drivers.canopen_arm_setup import ArmConfig
+from drivers.links import CanFrame
 from estimation.errors import DeviceError, DeviceTimeout, IdentityMismatch, MotionStopped
+from estimation.transform import FloatArray
 from tests.drivers.fakes import FakeArmLink, VirtualClock
 
 DEG = math.pi / 180.0
@@ -319,3 +321,89 @@ def test_a_pause_in_which_nobody_pumps_is_no_lost_node() -> None:
     arm, _, clock = connected()
     clock.sleep(3.0)
     assert len(arm.read_joints(2).time_s) == 2
+
+
+def test_answers_unread_while_the_computer_stood_still_are_no_missed_sync() -> None:
+    arm, link, clock = connected()
+    real, stalls = link.receive, [0.3, 0.3, 0.3, 0.3]
+
+    def stalling(timeout_s: float) -> CanFrame | None:
+        if stalls and link._events and link._events[0][2] == 0x183:  # just before the first answer is read
+            clock.sleep(stalls.pop())
+        return real(timeout_s)
+
+    link.receive = stalling  # type: ignore[method-assign]
+    assert len(arm.read_joints(8).time_s) == 8
+    assert not stalls and arm.health().timeouts == 0
+
+
+def test_two_nodes_with_one_id_are_told() -> None:
+    arm, link, _ = connected()
+
+    def double(number: int) -> None:
+        link.later(0.0006, 0x185, struct.pack("<Hi", 0x0237, 99))
+
+    link.on_sync = double
+    with pytest.raises(DeviceError, match=r"Joint 3 \(node 5\) answers twice .* two nodes use 185h"):
+        arm.read_joints(100)
+
+
+def test_a_node_that_a_second_master_stops_is_told() -> None:
+    arm, link, _ = connected()
+    link.later(0.0, 0x706, b"\x04")
+    with pytest.raises(DeviceError, match=r"Joint 4 \(node 6\) is stopped instead of operational"):
+        arm.read_joints(10)
+
+
+def test_a_safety_stop_in_mid_move_is_told_as_such() -> None:
+    arm, link, _ = connected()
+    start = link.syncs
+
+    def torque_off(number: int) -> None:
+        if number == start + 15:
+            for drive in link.drives.values():
+                drive.statusword = 0x0250
+
+    link.on_sync = torque_off
+    with pytest.raises(DeviceError, match="is switch on disabled during a move") as error:
+        arm.move_joints(TARGET)
+    assert "safety system" in error.value.remedy
+
+
+def test_a_following_error_stops_all_joints() -> None:
+    arm, link, _ = connected()
+    start = link.syncs
+
+    def lagging(number: int) -> None:
+        if number == start + 15:
+            link.drives[7].statusword |= 0x2000
+
+    link.on_sync = lagging
+    with pytest.raises(DeviceError, match=r"Joint 5 \(node 7\) does not follow its set-point"):
+        arm.move_joints(TARGET)
+    assert all(drive.quick_stops == 1 for drive in link.drives.values())
+
+
+@pytest.mark.parametrize("fraction", [0.0, -0.5, 1.5, math.nan])
+def test_senseless_speeds_are_refused(fraction: float) -> None:
+    arm, _, _ = connected()
+    with pytest.raises(DeviceError, match="Speed fraction"):
+        arm.move_joints(TARGET, fraction)
+
+
+@pytest.mark.parametrize("target", [np.zeros(5), np.full(6, math.nan)])
+def test_senseless_targets_are_refused(target: FloatArray) -> None:
+    arm, _, _ = connected()
+    with pytest.raises(DeviceError, match="Give 6 finite angles"):
+        arm.move_joints(target)
+
+
+def test_half_the_speed_takes_about_twice_the_time() -> None:
+    arm, _, clock = connected()
+    durations = list[float]()
+    for fraction in (1.0, 0.5):
+        arm.move_joints(np.zeros(6))
+        began_s = clock.time_s
+        arm.move_joints(np.full(6, 90.0) * DEG, fraction)
+        durations.append(clock.time_s - began_s)
+    assert durations[1] == pytest.approx(2 * durations[0], rel=0.1)

@@ -128,3 +128,12 @@ def test_identity_is_read_leniently(text: str) -> None:
     info = codec.parse_info(reply)
     assert (info["model"], info["serial_number"]) == ("ILD1420-100", "1420100")
     assert float(info["range_mm"]) == 100.0
+
+
+@given(codes_st, st.integers(0, 2))
+def test_the_end_of_a_value_cut_by_dropping_input_is_not_counted_as_bad(sent: list[int], cut: int) -> None:
+    decoder = codec.StreamDecoder()
+    decoder.reset()
+    got = decoder.feed((encode(777) + b"".join(map(encode, sent)))[cut:]).tolist()
+    assert got == ([777] if cut == 0 else []) + sent
+    assert decoder.bad_bytes == 0
