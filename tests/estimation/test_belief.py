@@ -26,7 +26,7 @@ def correlated(belief: Belief, seed: int = 1) -> Belief:
 
 def test_contributions_add_up_to_the_covariance_and_are_the_budget() -> None:
     belief = correlated(some())
-    total = sum(belief.contributions.values())
+    total = np.sum(list(belief.contributions.values()), axis=0)
     assert np.allclose(total, belief.covariance, rtol=1e-14, atol=0)
     jacobian = np.random.default_rng(2).normal(size=(4, 3, belief.size))
     shares = sum(belief.budget(jacobian).values())

@@ -279,6 +279,12 @@ class Truth:
         miss2 = np.sum((base_c - origin) ** 2, axis=-1) - along**2
         return self.reading(along - np.sqrt(radius_m**2 - miss2))
 
+    def cell(self, number: int) -> "Truth":
+        """One of many cells."""
+        return replace(
+            self, **{name: values[number] for name, values in vars(self).items() if name != "bump"}
+        )
+
     def bumped(self, xi: FloatArray) -> "Truth":
         """The same cell after something hit the laser."""
         return replace(self, bump=xi)
