@@ -1,4 +1,4 @@
-"""The drivers of a cell, from its file and three links: the same for real ports and the deterministic cell."""
+"""The drivers of a cell, from its file and three links: real ports or the deterministic cell's."""
 
 from controller.cellfile import Cell
 from drivers.adam6052 import AdamProbe, ProbeConfig

@@ -167,8 +167,7 @@ class Engine:
         while not self._shutdown:
             self.run_until_waiting()
             with self._wake:
-                if not self._shutdown and not self._machine.state.is_acting:
-                    self._wake.wait()
+                self._wake.wait_for(lambda: self._shutdown or self._machine.state.is_acting)
         self._disconnect()
 
     def shutdown(self) -> None:

@@ -37,5 +37,7 @@ class Sample:
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Sample":
         """Inverse of `to_dict`, also after JSON made tuples lists."""
-        listed = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+        listed: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
+        }
         return Sample(**listed)

@@ -67,6 +67,7 @@ class Truth:
                 "shift_x": float(face.shift_m[0]),
                 "shift_y": float(face.shift_m[1]),
                 "shift_z": float(face.shift_m[2]),
+                "flatness": 2.0 * face.waviness_m,  # crest to trough
             }
             for name, face in self.features.items()
         }

@@ -3,6 +3,7 @@
 import logging
 import subprocess
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -108,15 +109,26 @@ def simulate(context: typer.Context, cell: CellArgument) -> None:
 
 def demo(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Which simulated cell.")] = 1,
+    scenario: Annotated[
+        str,
+        typer.Option(
+            "--scenario",
+            help="honest, bumped-laser, noisy-joint, cable-pulled, part-missing or tight-limit.",
+        ),
+    ] = "honest",
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", help="Where to keep cell, store and report. Default: truecell-demo."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the whole job against simulated devices. The result is compared with the simulated truth.
 
-    Example: truecell demo --seed 7
+    Example: truecell demo --seed 7 --scenario bumped-laser
     """
     from controller.demo import run_demo
 
-    raise typer.Exit(run_demo(seed=seed, as_json=as_json))
+    raise typer.Exit(run_demo(seed, scenario, folder, as_json))
 
 
 def add_to(app: typer.Typer) -> None:

@@ -59,7 +59,7 @@ def uncertainty_proof(gated: Sequence[Mapping[str, Any]], limit_m: float) -> Pro
     )
 
 
-def consistency_proof(update: Update, level: float = CONSISTENCY_LEVEL) -> Proof:
+def consistency_proof(update: Update, what: str = "", level: float = CONSISTENCY_LEVEL) -> Proof:
     """Residuals against the declared noise, full covariance, both ways (STANDARDS: global test)."""
     lower, upper = (float(chi_square.ppf(p, update.dof)) for p in (level / 2, 1 - level / 2))
     inside = lower <= update.chi2 <= upper
@@ -71,7 +71,7 @@ def consistency_proof(update: Update, level: float = CONSISTENCY_LEVEL) -> Proof
         else "smaller than declared"
     )
     return Proof(
-        "chi-square of the residuals",
+        f"{what}chi-square of the residuals",
         update.chi2,
         upper if update.chi2 >= lower else lower,
         "",

@@ -72,8 +72,8 @@ class InspectPhase:
             for item in cell.part.characteristics
         ]
         proofs = (
-            findings.consistency_proof(qualified),
-            findings.consistency_proof(fit),
+            findings.consistency_proof(qualified, "stylus: "),
+            findings.consistency_proof(fit, "touches: "),
             *(
                 Proof(
                     row["id"],
@@ -158,8 +158,8 @@ class InspectPhase:
             "limit_m": limit - (nominal or 0.0),
             "u_m": measured.u_m,
             "U_m": 2.0 * measured.u_m,
-            "guard_band_m": decision.guard_band,
-            "conformance_probability": decision.conformance_probability,
+            "guard_band_m": _finite(decision.guard_band),
+            "conformance_probability": _finite(decision.conformance_probability),
             "outcome": decision.outcome.value,
             "points": measured.points,
             "method": measured.method,
@@ -167,6 +167,11 @@ class InspectPhase:
             "text": f"{item.kind} of {item.feature}: {measured.value_m * 1e3:.4f} mm, "
             f"U = {2e3 * measured.u_m:.4f} mm (k = 2)",
         }
+
+
+def _finite(value: float) -> float | None:
+    """For the store, which takes numbers only."""
+    return value if np.isfinite(value) else None
 
 
 def _inspected(cell: Cell) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from controller.planning import plan_noise
 from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.measurement import evaluate
+from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
 LEVEL = 0.001  # probability that an honest joint or laser is called too noisy
@@ -43,7 +44,9 @@ class NoisePhase:
         verdict = Verdict(
             tuple(proofs),
             message(proofs, "Joints and laser repeat as declared"),
-            "Have that axis or sensor looked at, or declare its noise in the cell file and plan again",
+            ""
+            if all(proof.outcome is Outcome.OK for proof in proofs)
+            else "Have that axis or sensor looked at, or declare its noise in the cell file and plan again",
         )
         estimate: dict[str, Any] = {
             "values": [

@@ -1,0 +1,45 @@
+"""From a cell file to an engine on real ports."""
+
+from importlib.metadata import version
+from pathlib import Path
+
+from controller.cellfile import load_cell
+from controller.devices import make_devices
+from controller.engine import Engine
+from controller.job import CellJob
+from controller.packml import State
+from controller.planning.feasibility import limit_mistakes
+from controller.store import Store
+from drivers.can_link import PythonCanLink
+from drivers.clock import RealClock
+from drivers.serial_link import SerialLink
+from drivers.tcp_link import TcpLink
+
+STORE_NAME = "cell.sqlite"
+
+
+def build_engine(cell_path: Path, state_dir: Path) -> tuple[Engine, Store]:
+    """The engine of a cell and its store; no port is opened, and nothing moves, before Start.
+
+    Raises CellFileError with all mistakes, StoreError when the store is in use or damaged.
+    """
+    cell = load_cell(cell_path, feasibility=limit_mistakes)
+    clock = RealClock()
+    store = Store.open(state_dir / STORE_NAME)
+    devices = make_devices(
+        cell,
+        clock,
+        PythonCanLink(cell.robot.interface, cell.robot_port, cell.robot.bitrate, clock),
+        SerialLink(cell.laser_port, cell.laser.baud),
+        TcpLink(cell.probe.host, cell.probe.port),
+        keep_alive_thread=True,
+    )
+    job = CellJob(cell, devices, store, clock, version("truecell"))
+    open_run = store.last_open_run()
+    if open_run is None:
+        engine = Engine(job, devices, clock)
+    else:
+        reason = f"The daemon ended during run {open_run.id}; what was measured is kept"
+        engine = Engine(job, devices, clock, initial=State.ABORTED, reason=reason)
+    job.publish = engine.publish
+    return engine, store
