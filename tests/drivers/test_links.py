@@ -2,7 +2,9 @@
 
 import socket
 import threading
+from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 
@@ -214,3 +216,23 @@ def test_tcp_refused_closed_and_half_open() -> None:
             probe.connect()
         probe.close()
         silent.set()
+
+
+def test_bus_off_and_stray_frames_on_socketcan() -> None:
+    """No CAN in every kernel: the bus object is a stand-in, the frames are those of SocketCAN."""
+    frames = [
+        can.Message(arbitration_id=0x204, is_error_frame=True, is_extended_id=False),  # error passive
+        can.Message(arbitration_id=0x183, is_extended_id=True, data=b"\x01"),
+        can.Message(arbitration_id=0x183, is_extended_id=False, is_remote_frame=True),
+        can.Message(arbitration_id=0x183, is_extended_id=False, data=b"\x02"),
+        can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False),
+    ]
+    link = PythonCanLink("socketcan", "can0")
+    link._bus = SimpleNamespace(recv=lambda timeout: frames.pop(0), shutdown=lambda: None)
+    frame = link.receive(1.0)
+    assert frame is not None and frame.data == b"\x02"
+    with pytest.raises(DeviceError, match="CAN bus can0 is off") as error:
+        link.receive(1.0)
+    assert "termination" in error.value.remedy.lower()
+    assert link.bad_frames == 2
+    link.close()
