@@ -54,8 +54,12 @@ def part_candidates(
     seed: int,
     draws: int = PART_DRAWS,
     margin_m: float = EDGE_MARGIN_M,
+    middle: float = 1.0,
 ) -> Candidates:
-    """Beams onto plane faces of the part: `margin_m` inside their edges, however the part may lie."""
+    """Beams onto plane faces of the part, `margin_m` inside their edges, at all tilts and spins.
+
+    `middle` is the share of the working range, about its middle, in which distances are drawn.
+    """
     random = np.random.default_rng([seed, 2])
     features = features_of(workspace, "part")
     place = {feature.name: i for i, feature in enumerate(features)}
@@ -75,6 +79,7 @@ def part_candidates(
         np.concatenate(points),
         np.concatenate(normals),
         random,
+        middle,
     )
 
 
@@ -106,6 +111,25 @@ def occluded(
     return failed
 
 
+def surely_in_range(
+    workspace: Workspace, candidates: Candidates, displacements: Sequence[FloatArray]
+) -> BoolArray:
+    """Which candidates (m,) on plane faces stay in range for every displacement (4, 4) of the part."""
+    laser, low_high = workspace.pose("laser"), workspace.cell.laser.working_range_m
+    base_T_laser = workspace.actual_arm.flange_pose(candidates.joints_rad) @ laser.matrix
+    planes = [candidates.features[int(i)] for i in candidates.feature_index]
+    point, normal = np.array([plane.point_m for plane in planes]), np.array([plane.axis for plane in planes])
+    steepest = np.cos(workspace.cell.laser.max_incidence_rad)
+    kept = np.ones(len(candidates), dtype=np.bool_)
+    for displacement in displacements:
+        part_T_laser = np.linalg.inv(workspace.pose("part").matrix @ displacement) @ base_T_laser
+        height = np.einsum("mi,mi->m", part_T_laser[:, :3, 3] - point, normal)
+        cosine = -np.einsum("mi,mi->m", part_T_laser[:, :3, 2], normal)
+        distance = height / np.maximum(cosine, 1e-3)
+        kept &= (cosine > steepest) & (distance > low_high[0]) & (distance < low_high[1])
+    return kept
+
+
 def aimed_beams(
     workspace: Workspace,
     base_p: FloatArray,
@@ -128,13 +152,15 @@ def _aimed(
     points: FloatArray,
     normals: FloatArray,
     random: np.random.Generator,
+    middle: float = 1.0,
 ) -> Candidates:
     laser, count = workspace.cell.laser, len(points)
     steepest = min(MOST_TILT_RAD, laser.max_incidence_rad - INCIDENCE_MARGIN_RAD)
     # Half of the draws at the steepest tilt: what decides the hand-eye is the spread of orientations.
     tilt = steepest * np.minimum(1.0, 2.0 * np.sqrt(random.uniform(0.0, 1.0, count)))
     azimuth, spin = random.uniform(-np.pi, np.pi, (2, count))
-    distance = random.uniform(*laser.working_range_m, count)
+    low, high = laser.working_range_m
+    distance = (low + high) / 2 + middle * (high - low) * random.uniform(-0.5, 0.5, count)
     pose = workspace.pose(name)
     beam = pose.vectors(-directions_around(normals, tilt, azimuth))
     joints, found = aimed_beams(workspace, pose.points(points), beam, spin, distance)

@@ -13,6 +13,7 @@ from controller.planning.candidates import (
     occluded,
     part_candidates,
     plate_candidates,
+    surely_in_range,
 )
 from controller.planning.plan import Plan, accessible, gated_predictions, laser_steps
 from controller.planning.poses import BoolArray
@@ -30,6 +31,7 @@ COARSE_COUNT: Final = 10
 COARSE_NOTE: Final = "coarse"
 ADDED_NOTE: Final = "added"
 CHECK_SEED: Final = 7919  # draws of its own
+_COARSE_MIDDLE: Final = 0.3  # of the working range: the part may be nearer or farther by much
 _ROUNDS: Final = 8  # in which choices that turn out to be blocked are replaced
 _CORNERS: Final = tuple(f"corner {x}{y}{z}" for x in "-+" for y in "-+" for z in "-+")
 
@@ -62,8 +64,9 @@ def plan_coarse_localize(
 ) -> Plan:
     """The first points on a part that was clamped by hand: each meets its face wherever the part may lie."""
     workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, spec.faces, seed, margin_m=margin_m(workspace))
+    pool = part_candidates(workspace, spec.faces, seed, margin_m=margin_m(workspace), middle=_COARSE_MIDDLE)
     displacements = _displacements(cell)
+    pool = pool.take(surely_in_range(workspace, pool, displacements))
     face_limit = -(-count // len(spec.faces)) + 1  # no face may be left out
     return _part_plan(
         workspace,
@@ -232,12 +235,19 @@ def margin_m(workspace: Workspace) -> float:
 
 
 def _displacements(cell: Cell) -> list[FloatArray]:
-    """Eight places at the limits of where the part may lie: all corners of shift, turned either way."""
-    part = cell.part
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
+    """Places at the limits of where the part may lie: shifted along each axis, turned about another."""
+    part, axes = cell.part, np.eye(3)
     return [
-        exp_pose(np.concatenate([part.position_limit_m * sign, part.rotation_limit_rad * np.roll(sign, 1)]))
-        for sign in signs
+        exp_pose(
+            np.concatenate(
+                [shift * part.position_limit_m * axes[i], turn * part.rotation_limit_rad * axes[j]]
+            )
+        )
+        for i in range(3)
+        for j in range(3)
+        if i != j
+        for shift in (-1.0, 1.0)
+        for turn in (-1.0, 1.0)
     ]
 
 

@@ -88,8 +88,8 @@ class Keepout:
         height = points[:, 2] - radius
         free &= (height > BENCH_M).all(axis=1)
         across = points[:, 0] ** 2 + points[:, 1] ** 2 < (COLUMN_RADIUS_M + radius) ** 2
-        low = np.asarray(height < COLUMN_HEIGHT_M)
-        free &= ~(across & low).any(axis=1)
+        beside: BoolArray = np.logical_and(across, height < COLUMN_HEIGHT_M)
+        free &= ~beside.any(axis=1)
         for box in self.boxes:
             which = ~self.outline.stylus if box.name == touching else slice(None)
             room = (radius[which] + CLEARANCE_M)[:, None]
@@ -99,7 +99,7 @@ class Keepout:
             apart = np.maximum(np.maximum(box.low_m - middle, middle - box.high_m), 0.0)
             near = np.flatnonzero(free & ((apart**2).sum(axis=1) < self._reach_m**2))
             local = turn @ (points[near][:, :, which] - place[:, None])
-            inside = ((local > low) & (local < high)).all(axis=1)
+            inside = np.asarray(((local > low) & (local < high)).all(axis=1))
             free[near[inside.any(axis=1)]] = False
         shaped: BoolArray = free.reshape(shape)
         return shaped
