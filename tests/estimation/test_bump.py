@@ -40,7 +40,7 @@ def check(rng: np.random.Generator, truth: twin.Truth) -> list[Observations]:
     ]
 
 
-def tested(seed: int, bump: list[float] | None = None) -> tuple[twin.Truth, Belief, BumpTest]:
+def outcome(seed: int, bump: list[float] | None = None) -> tuple[twin.Truth, Belief, BumpTest]:
     rng = np.random.default_rng(seed)
     truth, belief = calibrated(rng)
     moved = truth if bump is None else truth.bumped(np.array(bump))
@@ -49,7 +49,7 @@ def tested(seed: int, bump: list[float] | None = None) -> tuple[twin.Truth, Beli
 
 @pytest.mark.parametrize("words", BUMPS)
 def test_a_bump_of_half_a_millimetre_or_0_3_deg_is_caught_and_described(words: str) -> None:
-    _, _, result = tested(1, BUMPS[words])
+    _, _, result = outcome(1, BUMPS[words])
     assert not result.passed and result.statistic > 2 * result.limit and result.p_value < 1e-6
     assert words in result.words
     assert result.consistent  # all of it is explained by the bump
@@ -61,7 +61,7 @@ def test_a_bump_of_half_a_millimetre_or_0_3_deg_is_caught_and_described(words: s
 def test_honest_cells_pass_as_often_as_the_level_says() -> None:
     statistics, rest = [], []
     for seed in range(100, 140):
-        _, _, result = tested(seed)
+        _, _, result = outcome(seed)
         statistics.append(result.statistic)
         rest.append(result.chi2 / result.dof)
         assert result.passed
