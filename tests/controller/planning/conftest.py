@@ -1,8 +1,5 @@
 """The example cell, and what its job plans: made once, because plans depend on nothing else."""
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import pytest
 
 from controller.cellfile import Cell, job, load_cell
@@ -15,7 +12,6 @@ from controller.knowledge import (
     with_probe,
 )
 from controller.planning import (
-    Plan,
     plan_bar_check,
     plan_coarse_localize,
     plan_hand_eye,
@@ -24,25 +20,7 @@ from controller.planning import (
     plan_noise,
     plan_part_check,
 )
-from estimation.belief import Belief
-from estimation.kinematics import ArmModel
-
-CELL = Path(__file__).parents[3] / "cells" / "bench-block"
-SEED = 11
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """Plans of the whole job, each on the belief that the ones before are predicted to leave."""
-
-    cell: Cell
-    arm: ArmModel
-    plate_prior: Belief
-    part_prior: Belief
-    plans: dict[str, Plan]
-
-    def spec(self, name: str) -> job.Phase:
-        return next(phase for phase in self.cell.job.phases if phase.name == name)
+from tests.controller.planning.planned import CELL, SEED, Planned, belief_of
 
 
 @pytest.fixture(scope="session")
@@ -74,8 +52,3 @@ def planned(cell: Cell) -> Planned:
     touched = with_inspected(with_probe(lying, cell), cell)
     plans["inspect"] = plan_inspect(cell, touched, arm, inspect, SEED)
     return Planned(cell, arm, prior, part, plans)
-
-
-def belief_of(plan: Plan) -> Belief:
-    assert plan.belief is not None
-    return plan.belief

@@ -7,7 +7,7 @@ import pytest
 from controller.cellfile import Cell, check_cell, load_cell
 from controller.faults import GateHeld
 from controller.planning.feasibility import feasibility, limit_mistakes, refuse_impossible_limits
-from tests.controller.planning.conftest import CELL
+from tests.controller.planning.planned import CELL
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from estimation.kinematics import ArmModel
 from estimation.solver import predicted_belief
 from estimation.statistics import coverage_factor
 from estimation.transform import FloatArray
-from tests.controller.planning.conftest import SEED, Planned, belief_of
+from tests.controller.planning.planned import SEED, Planned, belief_of
 
 BLOCK_M = np.array([0.100, 0.150, 0.100])  # of the drawing, without bore, boss and rounding
 FACES = {
