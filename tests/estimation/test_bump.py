@@ -6,7 +6,7 @@ from estimation.bump import BumpTest, bump_test
 from estimation.errors import EstimationError
 from estimation.measurement import Observations
 from estimation.solver import update
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 ARM = twin.arm()
 # The bar stands where a search has found it, so that the beam meets the caps of its spheres.
@@ -22,7 +22,7 @@ BUMPS = {
 
 
 def calibrated(rng: np.random.Generator) -> tuple[twin.Truth, Belief]:
-    truth, q = twin.Truth.drawn(rng, SIZES), twin.plate_poses(240)[:80]
+    truth, q = twin.Truth.drawn(rng, SIZES), twin_poses.plate_poses(240)[:80]
     observed = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), SIZES), SIZES)
     belief = update(twin.with_plate(twin.laser_belief(SIZES), SIZES), ARM, [observed]).belief
     return truth, twin.with_bar(belief, SIZES)
@@ -30,8 +30,8 @@ def calibrated(rng: np.random.Generator) -> tuple[twin.Truth, Belief]:
 
 def check(rng: np.random.Generator, truth: twin.Truth) -> list[Observations]:
     """Bar spheres from five orientations, and eight of the plate poses again."""
-    bar, second = twin.sphere_poses(aside_m=0.005)
-    plate = twin.plate_poses(240)[:8]
+    bar, second = twin_poses.sphere_poses(aside_m=0.005)
+    plate = twin_poses.plate_poses(240)[:8]
     joints, readings = twin.noisy(rng, bar, truth.bar_readings(bar, second), SIZES)
     again = twin.noisy(rng, plate, truth.plate_readings(plate), SIZES)
     return [
@@ -83,7 +83,7 @@ def test_a_crash_of_5_mm_is_measured_too() -> None:
     rng = np.random.default_rng(4)
     truth, belief = calibrated(rng)
     bump = np.array([1e-3, 0, 5e-3, 0, 0, 0])
-    plate = twin.plate_poses(240)[:30]
+    plate = twin_poses.plate_poses(240)[:30]
     moved = truth.bumped(bump)
     observed = twin.laser_observations(
         "plate", *twin.noisy(rng, plate, moved.plate_readings(plate), SIZES), SIZES

@@ -18,7 +18,7 @@ from estimation.measurement import (
 )
 from estimation.surfaces import Feature, cylinder, sphere_features
 from estimation.transform import FloatArray, Transform
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 SIZES = twin.Sizes()
 ARM = twin.arm()
@@ -75,9 +75,9 @@ def touches(object: str, q: FloatArray, features: tuple[Feature, ...]) -> Observ
 
 def batches(rng: np.random.Generator) -> list[Observations]:
     truth = twin.Truth.drawn(rng, SIZES)
-    plate = twin.plate_poses(240)[:6]
-    bar, second = twin.sphere_poses()
-    part, face = twin.part_poses(30)
+    plate = twin_poses.plate_poses(240)[:6]
+    bar, second = twin_poses.sphere_poses()
+    part, face = twin_poses.part_poses(30)
     anywhere = twin.START_RAD + rng.normal(size=(6, 6)) * 0.3
     return [
         twin.laser_observations("plate", plate, truth.plate_readings(plate), SIZES),
@@ -111,8 +111,8 @@ def test_noise_free_readings_of_a_cell_that_is_as_believed_leave_no_residual() -
     values["laser.scale"], values["laser.offset"] = np.array([truth.scale]), np.array([truth.offset_m])
     for i, feature in enumerate(twin.face_features()):
         values[feature.blocks[0]] = truth.faces_m[i : i + 1]
-    plate, (part, face) = twin.plate_poses(240)[:40], twin.part_poses(30)
-    bar, second = twin.sphere_poses(aside_m=0.002)
+    plate, (part, face) = twin_poses.plate_poses(240)[:40], twin_poses.part_poses(30)
+    bar, second = twin_poses.sphere_poses(aside_m=0.002)
     bar_readings = truth.bar_readings(bar, second)
     seen = np.isfinite(bar_readings)
     rows = evaluate(
@@ -179,7 +179,7 @@ def _with(batch: Observations, q: FloatArray, reading_m: FloatArray) -> Observat
 def test_row_20_jacobians_of_gated_points_against_central_differences() -> None:
     rng = np.random.default_rng(4)
     belief = everything(rng)
-    readings, q = np.array([0.06, 0.085, 0.11]), twin.plate_poses(240)[:3]
+    readings, q = np.array([0.06, 0.085, 0.11]), twin_poses.plate_poses(240)[:3]
     corners = np.array([[0.0, 0.0, 0.0], [0.1, 0.15, 0.1]])
     h = 1e-5
     gated: list[Callable[[Belief], Points]] = [
@@ -212,7 +212,7 @@ def test_batches_in_another_order_give_the_same_rows() -> None:
 
 def test_what_is_missing_or_broken_is_named() -> None:
     belief = twin.laser_belief(SIZES)
-    q = twin.plate_poses(240)[:4]
+    q = twin_poses.plate_poses(240)[:4]
     with pytest.raises(EstimationError, match="no pose 'plate'"):
         evaluate(belief, ARM, [twin.laser_observations("plate", q, np.full(4, 0.08), SIZES)])
     with pytest.raises(EstimationError, match="reading_m"):

@@ -6,7 +6,7 @@ from estimation.errors import DegenerateGeometry
 from estimation.observability import RankReport
 from estimation.solver import update
 from estimation.transform import FloatArray, Transform
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 ARM = twin.arm()
 SIZES = twin.Sizes()
@@ -28,14 +28,14 @@ def same_orientation(count: int) -> FloatArray:
     more = 4 * count
     point = np.column_stack([rng.uniform(-0.1, 0.1, (more, 2)), np.zeros(more)]) + twin.PLATE_M
     up, still = np.tile([0.0, 0.0, 1.0], (more, 1)), np.zeros(more)
-    q, good = twin.joints_for(
-        twin.aimed(point, up, rng.uniform(0.06, 0.11, more), still + 15 * twin.DEG, still, still)
+    q, good = twin_poses.joints_for(
+        twin_poses.aimed(point, up, rng.uniform(0.06, 0.11, more), still + 15 * twin.DEG, still, still)
     )
     return q[good][:count]
 
 
 def test_row_13_rank_8_of_8_parameters_with_varied_poses() -> None:
-    report = laser_plane(twin.plate_poses(240)[:20])
+    report = laser_plane(twin_poses.plate_poses(240)[:20])
     assert (report.rank, report.unknowns) == (8, 8)
     assert report.complete and not report.missing and not report.held_by_prior
     report.require()
@@ -45,7 +45,7 @@ def test_row_13_rank_8_of_9_parameters_because_the_beam_may_turn_unseen() -> Non
     belief = twin.laser_belief(SIZES)
     mount = belief.transform("laser")
     belief = twin.with_plate(belief.without(["laser"]).with_block("laser", mount, std=1e-3), SIZES)
-    report = laser_plane(twin.plate_poses(240)[:20], belief)
+    report = laser_plane(twin_poses.plate_poses(240)[:20], belief)
     assert (report.rank, report.unknowns) == (8, 9)
     assert [direction.words for direction in report.missing] == [
         "rotation of the laser about z is not seen by the measurements"
@@ -67,7 +67,7 @@ def test_row_13_rank_4_of_8_at_constant_orientation_and_the_remedy(settling_rad:
 
 
 def test_a_part_seen_from_above_only_names_the_faces_that_are_missing() -> None:
-    q, face = twin.part_poses(60)
+    q, face = twin_poses.part_poses(60)
     q, face = q[face == 0], face[face == 0]
     readings = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0)).part_readings(q, face)
     prior = twin.with_part(twin.laser_belief(SIZES), SIZES)
@@ -100,5 +100,5 @@ def test_the_rank_does_not_depend_on_units() -> None:
 
 
 def test_fewer_measurements_than_unknowns_are_missing_directions_too() -> None:
-    report = laser_plane(twin.plate_poses(240)[:5])
+    report = laser_plane(twin_poses.plate_poses(240)[:5])
     assert report.rank <= 5 and len(report.missing) == 8 - report.rank

@@ -6,7 +6,7 @@ from estimation.fitting import Robust
 from estimation.measurement import Observations, object_point_jacobian
 from estimation.solver import update
 from estimation.transform import FloatArray
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 ARM = twin.arm()
 CORNERS = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.15) for z in (0, 0.1)])
@@ -17,7 +17,7 @@ ROWS = 26
 def localization(seed: int, outliers: dict[int, float]) -> tuple[Observations, FloatArray]:
     """26 points on a part, some of them wrong by metres, and the true corners."""
     rng = np.random.default_rng(seed)
-    truth, (q, face) = twin.Truth.drawn(rng, KNOWN), twin.part_poses(30)
+    truth, (q, face) = twin.Truth.drawn(rng, KNOWN), twin_poses.part_poses(30)
     q, face = q[:ROWS], face[:ROWS]
     truth = twin.Truth(**{**vars(truth), "kinematics": np.zeros(18)})
     joints, readings = twin.noisy(rng, q, truth.part_readings(q, face), KNOWN)

@@ -7,7 +7,7 @@ from estimation.belief import Belief
 from estimation.measurement import Observations, object_point_jacobian
 from estimation.solver import predicted_belief, update
 from estimation.transform import FloatArray, Transform
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 ARM = twin.arm()
 CORNERS = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.15) for z in (0, 0.1)])
@@ -23,7 +23,7 @@ def prior() -> Belief:
 
 
 def repeated(times: int, readings: FloatArray | None = None) -> Observations:
-    q, face = twin.part_poses(30)
+    q, face = twin_poses.part_poses(30)
     q, face = np.tile(q[:26], (times, 1)), np.tile(face[:26], times)
     nominal = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0))
     values = nominal.part_readings(q, face) if readings is None else readings
@@ -64,7 +64,7 @@ def test_row_14_estimated_jointly_the_floor_is_that_of_what_the_poses_cannot_see
 
 def test_row_15_consider_covariance_is_that_of_monte_carlo_with_one_hand_eye_draw_a_run() -> None:
     rng = np.random.default_rng(3)
-    q, face = twin.part_poses(30)
+    q, face = twin_poses.part_poses(30)
     q, face = q[:26], face[:26]
     noisy = twin.Sizes(**{**vars(SIZES), "joint_rad": 0.0015 * twin.DEG, "range_m": 0.03e-3})
     truths = twin.Truth.drawn(rng, noisy, 600)

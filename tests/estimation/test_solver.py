@@ -10,7 +10,7 @@ from estimation.errors import EstimationError
 from estimation.measurement import evaluate, object_point_jacobian, point_jacobian
 from estimation.solver import Update, information_rows, predict, predicted_belief, update
 from estimation.transform import FloatArray
-from tests.estimation import twin
+from tests.estimation import twin, twin_poses
 
 SIZES = twin.Sizes()
 ARM = twin.arm()
@@ -21,7 +21,7 @@ def hand_eye(
 ) -> tuple[twin.Truth, Belief, Update]:
     rng = np.random.default_rng(seed)
     truth = twin.Truth.drawn(rng, sizes)
-    q = twin.plate_poses(240)[:count]
+    q = twin_poses.plate_poses(240)[:count]
     prior = twin.with_plate(twin.laser_belief(sizes), sizes)
     observed = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), sizes), sizes)
     return truth, prior, update(prior, ARM, [observed], phase="hand-eye", **options)  # type: ignore[arg-type]
@@ -45,7 +45,7 @@ def test_row_18_the_fixed_point_is_the_map_estimate_not_least_squares() -> None:
     """The step of ESTIMATION.md section 4, (46) with its prior residual, written out: zero at the result."""
     sizes = twin.Sizes(mount_m=0.0, mount_rad=0.0, scale=0.0, offset_m=0.0, placed_m=2e-4, placed_rad=0.05)
     rng = np.random.default_rng(1)
-    truth, (q, face) = twin.Truth.drawn(rng, sizes), twin.part_poses(30)
+    truth, (q, face) = twin.Truth.drawn(rng, sizes), twin_poses.part_poses(30)
     prior = twin.with_part(twin.laser_belief(sizes, kinematics=False), sizes, form=False)
     joints, readings = twin.noisy(rng, q, truth.part_readings(q, face), SIZES)
     observed = twin.laser_observations("part", joints, readings, SIZES, face, twin.face_features(form=False))
@@ -95,7 +95,7 @@ def test_contributions_sum_to_the_covariance_of_information_form() -> None:
     assert (np.abs(total - belief.covariance) / scale).max() < 1e-12
     assert set(belief.contributions) == {*prior.contributions, "hand-eye joint noise", "hand-eye range noise"}
     # (H^T Q^-1 H + P0^-1)^-1, with scaled units so that the inverses are good; the chart differs by little.
-    q = twin.plate_poses(240)[:40]
+    q = twin_poses.plate_poses(240)[:40]
     observed = twin.laser_observations("plate", q, np.zeros(40), SIZES)
     nominal = predicted_belief(prior, ARM, [observed])
     rows, variance = information_rows(prior, ARM, [observed])
@@ -118,7 +118,7 @@ def test_cost_never_rises_and_the_reason_to_stop_is_told() -> None:
 
 def test_noise_free_data_are_explained_to_the_last_digit() -> None:
     truth = twin.Truth.drawn(np.random.default_rng(3), SIZES)
-    q = twin.plate_poses(240)[:160]
+    q = twin_poses.plate_poses(240)[:160]
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
     prior = prior.replaced({}, {"wide": 1e4 * prior.covariance})
     result = update(prior, ARM, [twin.laser_observations("plate", q, truth.plate_readings(q), SIZES)])
@@ -127,7 +127,7 @@ def test_noise_free_data_are_explained_to_the_last_digit() -> None:
 
 def test_the_order_of_measurements_does_not_matter() -> None:
     rng = np.random.default_rng(4)
-    truth, q = twin.Truth.drawn(rng, SIZES), twin.plate_poses(240)[:40]
+    truth, q = twin.Truth.drawn(rng, SIZES), twin_poses.plate_poses(240)[:40]
     joints, readings = twin.noisy(rng, q, truth.plate_readings(q), SIZES)
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
     one = update(prior, ARM, [twin.laser_observations("plate", joints, readings, SIZES)])
@@ -144,8 +144,8 @@ def test_hand_eye_then_localization_equals_both_at_once() -> None:
     """Near the linear limit: all errors a thousandth of the cell's."""
     sizes = SIZES.times(1e-3)
     rng = np.random.default_rng(5)
-    truth, q = twin.Truth.drawn(rng, sizes), twin.plate_poses(240)[:40]
-    qp, face = twin.part_poses(30)
+    truth, q = twin.Truth.drawn(rng, sizes), twin_poses.plate_poses(240)[:40]
+    qp, face = twin_poses.part_poses(30)
     plate = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), sizes), sizes)
     part_q, part_r = twin.noisy(rng, qp, truth.part_readings(qp, face), sizes)
     part = twin.laser_observations("part", part_q, part_r, sizes, face)
@@ -172,7 +172,7 @@ def _mean_is_chi_square(values: list[float], freedoms: int) -> bool:
 def cells() -> list[tuple[twin.Truth, Update]]:
     """200 simulated hand-eye calibrations, 'mid' errors, 40 poses."""
     rng = np.random.default_rng(6)
-    q, count = twin.plate_poses(240)[:40], 200
+    q, count = twin_poses.plate_poses(240)[:40], 200
     truths = twin.Truth.drawn(rng, SIZES, count)
     joints, readings = twin.noisy(rng, q, truths.plate_readings(q), SIZES)
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
@@ -210,7 +210,7 @@ def test_chi2_of_200_cells_is_chi_square_distributed(cells: list[tuple[twin.Trut
 def test_section_12_hand_eye_with_mid_errors_and_80_planned_poses() -> None:
     """0.078 mm with the study's poses; here the greedy choice out of 240 random candidates."""
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
-    q = twin.plate_poses(240)
+    q = twin_poses.plate_poses(240)
     nominal = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0)).plate_readings(q)
     rows, variance = information_rows(prior, ARM, [twin.laser_observations("plate", q, nominal, SIZES)])
     gated = point_jacobian(prior, np.array([0.085])).jacobian[0]
@@ -240,7 +240,7 @@ def test_section_12_hand_eye_with_mid_errors_and_80_planned_poses() -> None:
 
 def test_a_prediction_expects_what_honest_cells_show() -> None:
     rng = np.random.default_rng(7)
-    q, count = twin.plate_poses(240)[:20], 300
+    q, count = twin_poses.plate_poses(240)[:20], 300
     truths = twin.Truth.drawn(rng, SIZES.times(0.1), count)
     joints, readings = twin.noisy(rng, q, truths.plate_readings(q), SIZES.times(0.1))
     prior = twin.with_plate(twin.laser_belief(SIZES.times(0.1)), SIZES.times(0.1))
