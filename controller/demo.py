@@ -27,7 +27,7 @@ from estimation.errors import CellError, CellFileError
 SCENARIOS: Final = ("honest", "bumped-laser", "noisy-joint", "cable-pulled", "part-missing", "tight-limit")
 BENCH_BLOCK: Final = Path(__file__).parents[1] / "cells" / "bench-block"
 MOTION_SPEED: Final = 20.0
-START_TIMEOUT_S: Final = 30.0
+START_TIMEOUT_S: Final = 60.0
 UNPLUG_AT_STEP: Final = 20
 TIGHT: Final = '"0.08 mm"'
 
@@ -190,7 +190,16 @@ def _daemon(place: Place) -> contextlib.AbstractContextManager[subprocess.Popen[
         sys.executable, "-m", "controller", "serve", str(place.cell),
         "--state-dir", str(place.state), "--socket", str(place.daemon),
     ]  # fmt: skip
-    return _process(command, place.folder / "daemon.log", place.daemon.exists, "daemon")
+    return _process(command, place.folder / "daemon.log", lambda: _answers(place), "daemon")
+
+
+def _answers(place: Place) -> bool:
+    try:
+        with _client(place) as client:
+            client.get("/status")
+    except ConsoleError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi_square
-from scipy.stats import ncx2
+from scipy.special import chdtrc, chdtri, chndtr
 
 from estimation.belief import Belief
 from estimation.errors import EstimationError
@@ -99,16 +98,16 @@ def bump_test(
     bump = _perturbation(pose)
     covariance = moved.belief.block_covariance("bump")
     statistic = float(bump @ np.linalg.solve(covariance, bump))
-    limit = float(chi_square.isf(level, len(FREEDOMS)))
+    limit = float(chdtri(len(FREEDOMS), level))
     dof = rows - len(FREEDOMS)
     return BumpTest(
         statistic=statistic,
         limit=limit,
-        p_value=float(chi_square.sf(statistic, len(FREEDOMS))),
+        p_value=float(chdtrc(len(FREEDOMS), statistic)),
         level=level,
         chi2=moved.chi2,
         dof=dof,
-        chi2_limit=float(chi_square.isf(level, dof)),
+        chi2_limit=float(chdtri(dof, level)),
         bump=bump,
         covariance=covariance,
         words=_words(bump, covariance, level),
@@ -118,7 +117,7 @@ def bump_test(
 def detection_probability(covariance: FloatArray, bump: FloatArray, level: float) -> float:
     """Probability that a test at `level` catches a bump (5,), from the covariance (5, 5) of its estimate."""
     distance2 = float(bump @ np.linalg.solve(covariance, bump))
-    return float(ncx2.sf(chi_square.isf(level, len(bump)), len(bump), distance2))
+    return 1.0 - float(chndtr(chdtri(len(bump), level), len(bump), distance2))
 
 
 def _perturbation(pose: Transform) -> FloatArray:
@@ -129,11 +128,11 @@ def _perturbation(pose: Transform) -> FloatArray:
 def _words(bump: FloatArray, covariance: FloatArray, level: float) -> str:
     """The simplest movement that explains the statistic: one axis, a shift, a turn, or both."""
     information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
-    if bump @ information @ bump <= chi_square.isf(level, len(bump)):
+    if bump @ information @ bump <= chdtri(len(bump), level):
         return f"no movement of the laser beyond its uncertainty (estimate {_shift(bump)}, {_turn(bump)})"
     for group in ([[axis] for axis in range(len(bump))], [[0, 1, 2], [3, 4]]):
         fits = sorted((_constrained(bump, information, axes) for axes in group), key=lambda item: item[1])
-        limits = [float(chi_square.isf(level, len(bump) - np.count_nonzero(fit))) for fit, _ in fits]
+        limits = [float(chdtri(len(bump) - np.count_nonzero(fit), level)) for fit, _ in fits]
         possible = [_moved(fit) for (fit, left), limit in zip(fits, limits, strict=True) if left <= limit]
         if possible:  # at one distance a shift looks like a turn: say so when the data cannot tell
             return f"laser {' or '.join(possible)}"

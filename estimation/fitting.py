@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtri
 
 from estimation.chart import Point, Problem
 from estimation.errors import EstimationError
@@ -130,7 +130,7 @@ def robust_start(problem: Problem, z: FloatArray, robust: Robust) -> FloatArray:
 
 def gated(problem: Problem, z: FloatArray, robust: Robust, level: float, tolerance: float) -> Fit:
     """Mahalanobis gate: each row against what all the other accepted rows predict for it."""
-    limit = float(chi_square.isf(level / problem.rows, 1))  # Bonferroni
+    limit = float(chdtri(1, level / problem.rows))  # Bonferroni
     allowed = int(LARGEST_REJECTED_SHARE * problem.rows)
     used = np.ones(problem.rows, dtype=np.bool_)
     if robust != "none":  # judge first where outliers cannot hide each other, as if no row were in the fit

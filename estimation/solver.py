@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from estimation.belief import Belief
 from estimation.chart import Problem, square_root
@@ -50,7 +50,7 @@ class Update:
     @property
     def p_value(self) -> float:
         """Probability that honest data have a chi2 at least this large."""
-        return float(chi_square.sf(self.chi2, self.dof)) if self.dof else 1.0
+        return float(chdtrc(self.dof, self.chi2)) if self.dof else 1.0
 
     @property
     def variance_factor(self) -> float:
@@ -80,7 +80,7 @@ class Prediction:
     @property
     def p_value(self) -> float:
         """Probability that honest data have a chi2 at least this large."""
-        return float(chi_square.sf(self.chi2, len(self.residual_m)))
+        return float(chdtrc(len(self.residual_m), self.chi2))
 
 
 def update(

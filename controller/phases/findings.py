@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtri
 
 from controller.gates import Proof, worst
 from estimation.belief import Belief
@@ -61,7 +61,7 @@ def uncertainty_proof(gated: Sequence[Mapping[str, Any]], limit_m: float) -> Pro
 
 def consistency_proof(update: Update, what: str = "", level: float = CONSISTENCY_LEVEL) -> Proof:
     """Residuals against the declared noise, full covariance, both ways (STANDARDS: global test)."""
-    lower, upper = (float(chi_square.ppf(p, update.dof)) for p in (level / 2, 1 - level / 2))
+    lower, upper = (float(chdtri(update.dof, p)) for p in (1 - level / 2, level / 2))
     inside = lower <= update.chi2 <= upper
     word = (
         "as declared"

@@ -23,7 +23,7 @@ COARSE_NOTE = "coarse"
 
 
 class LocalizePhase:
-    """A few robust points to find the part, then the planned ones; only the latter are fitted."""
+    """A few robust points to find the part, then the planned ones; all are fitted."""
 
     def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
         prior = with_part(context.belief, context.cell)
@@ -67,12 +67,10 @@ class LocalizePhase:
         self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
     ) -> Finding:
         prior = with_part(context.belief, context.cell)
-        searched = {step.id for step in steps if step.note == COARSE_NOTE}
-        fine = [sample for sample in good(samples) if sample.step not in searched]
         fit = update(
             prior,
             context.arm,
-            observations(context.cell, fine),
+            observations(context.cell, good(samples)),
             targets=("part",),
             phase="localize",
             robust="huber",

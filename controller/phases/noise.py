@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtri
 
 from controller.cellfile import job
 from controller.gates import Proof, Verdict
@@ -74,7 +74,7 @@ def _pooled(scatter: FloatArray, counts: FloatArray) -> tuple[FloatArray, float]
 
 def _upper(dof: float, tests: int = 1) -> float:
     """Largest ratio of seen to declared standard deviation that honest noise shows."""
-    return float(np.sqrt(chi_square.isf(LEVEL / tests, dof) / dof))
+    return float(np.sqrt(chdtri(dof, LEVEL / tests) / dof))
 
 
 def _joint_proofs(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> list[Proof]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtri
 
 from controller.cellfile import job
 from controller.gates import Proof, Verdict
@@ -51,7 +51,7 @@ class PartCheckPhase:
         guarded_m = localize.limit_m - GUARD * own_u_m
         excess = np.abs(prediction.residual_m) - guarded_m
         worst = int(np.argmax(excess))
-        upper = float(chi_square.isf(context.spec.level, len(points)))
+        upper = float(chdtri(len(points), context.spec.level))
         proofs = (
             Proof.at_most(
                 "missing check points",
