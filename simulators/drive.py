@@ -8,13 +8,12 @@ from enum import IntEnum
 from typing import Final
 
 from simulators.drive_objects import BAD_VALUE, ENTRIES, Key, SdoAbort, SdoServer, Value, entry_of
-from simulators.drive_pdo import SYNCHRONOUS, Pdo, active_pdos, check_pdo_write, default_can_ids
+from simulators.drive_pdo import SYNCHRONOUS, TimedPdo, active_pdos, check_pdo_write, default_can_ids
 from simulators.drive_states import TRANSITIONS, Command, DriveState, command_of
-from simulators.profile import AxisMotion, Phase, plan_move, plan_stop
+from simulators.positioner import INTERPOLATED, PROFILE_POSITION, Positioner
+from simulators.profile import AxisMotion
 
 MODES: Final = (1, 2, 7)
-PROFILE_POSITION: Final = 1
-INTERPOLATED: Final = 7
 HEARTBEAT_LOST: Final = 0x8130  # life guard or heartbeat error; also for a silent SYNC
 FOLLOWING_ERROR: Final = 0x8611
 PDO_TOO_SHORT: Final = 0x8210
@@ -84,11 +83,7 @@ class Drive:
         self.nmt = Nmt.INITIALISING
         self._controlword = 0
         self._mode = int(self.values[0x6060, 0])
-        self._acknowledged = False  # bit 4 was taken and still stands
-        self._buffered: float | None = None  # set-point that waits for the present one
-        self._halted = self._limited = False
-        self._factor = 1.0  # of motion speed, of the present move
-        self._target = self.motion.position(self._now_s)
+        self._positioner = Positioner(self.motion, self.values, s.speed_limit, self._now_s)
         self._consumed: dict[int, float] = {}  # nodes whose heartbeat is watched, and its longest period
         self._silent_s: dict[int, float] = {}  # when each of them counts as lost; once it was heard
         self._last_sync_s = -math.inf
@@ -101,11 +96,12 @@ class Drive:
         """An NMT command; ignored before boot-up."""
         self._now_s = time_s
         if command in (0x81, 0x82):
-            self._stop_motion(self.settings.quick_stop)
+            self._stop_motion()
             self._power_on()
             self._boot_s = time_s + self.settings.boot_time_s
         elif self.nmt is not Nmt.INITIALISING and command in (0x01, 0x02, 0x80):
             self.nmt = {0x01: Nmt.OPERATIONAL, 0x02: Nmt.STOPPED, 0x80: Nmt.PRE_OPERATIONAL}[command]
+            self._pending.clear()
             if self.nmt is not Nmt.OPERATIONAL and self.state is DriveState.OPERATION_ENABLED:
                 self._command(Command.QUICK_STOP)
         self._reschedule()
@@ -134,9 +130,9 @@ class Drive:
                 self.state = DriveState.SWITCH_ON_DISABLED
             elif self.state is DriveState.FAULT_REACTION_ACTIVE:
                 self.state = DriveState.FAULT
-            elif self._buffered is not None and not self._halted:
-                target, self._buffered = self._buffered, None
-                self._move_to(target)
+        if now >= self._positioner.buffered_start_s:
+            self._positioner.start_buffered(now)
+            self._watch_sync()
         if now >= self._sync_check_s:
             self._sync_check_s = NEVER
             if self.motion.moving(now):
@@ -144,22 +140,23 @@ class Drive:
                 if self._sync_check_s <= now:
                     self._sync_check_s = NEVER
                     self.fault(HEARTBEAT_LOST, 0x11)
+        if now >= self._event_timer_s:
+            self._send_timed(now)
         for node in [node for node, deadline in self._silent_s.items() if now >= deadline]:
             del self._silent_s[node]  # watched again from its next heartbeat on
             if self.state is DriveState.OPERATION_ENABLED:
                 self.fault(HEARTBEAT_LOST, 0x11)
 
     def _reschedule(self) -> None:
-        waits = (self._buffered is not None and not self._halted) or self.state in (
-            DriveState.QUICK_STOP_ACTIVE,
-            DriveState.FAULT_REACTION_ACTIVE,
-        )
+        ends = self.state in (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
         self.next_event_s = min(
             self._boot_s,
             self._enable_s,
             self._heartbeat_s,
             self._sync_check_s,
-            max(self.motion.end_s, self._now_s) if waits else NEVER,
+            self._event_timer_s,
+            max(self.motion.end_s, self._now_s) if ends else NEVER,
+            max(self._positioner.buffered_start_s, self._now_s),
             *self._silent_s.values(),
         )
 
@@ -197,7 +194,7 @@ class Drive:
             return False
         self._now_s = time_s
         self._pending[can_id] = data
-        return False if pdo.kind in SYNCHRONOUS else self._apply_pending(lambda p: p.kind not in SYNCHRONOUS)
+        return pdo.kind not in SYNCHRONOUS and self._apply_pending(synchronous=False)
 
     def sync_sample(self, time_s: float) -> None:
         """SYNC, first half: send what is true now."""
@@ -209,16 +206,19 @@ class Drive:
 
     def sync_apply(self) -> bool:
         """SYNC, second half: take over the set-points received; True if a move waits to be started."""
-        if self._mode == INTERPOLATED and self._controlword & 0x10:
-            started = self._apply_pending(lambda p: p.kind in SYNCHRONOUS)
-            self._interpolate()
-            return started
-        return bool(self._pending) and self._apply_pending(lambda p: p.kind in SYNCHRONOUS)
+        starts = bool(self._pending) and self._apply_pending(synchronous=True)
+        if self._mode == INTERPOLATED and self._interpolating():
+            if not self._positioner.interpolate(self._interpolation_s(), self._now_s):
+                self.fault(FOLLOWING_ERROR, 0x21)
+            self._watch_sync()
+        return starts
 
-    def _apply_pending(self, wanted: Callable[[Pdo], bool]) -> bool:
+    def _apply_pending(self, synchronous: bool) -> bool:
         controlled = False
-        for can_id in [cob for cob in self._pending if wanted(self._receive_pdos[cob])]:
+        for can_id in list(self._pending):
             pdo = self._receive_pdos[can_id]
+            if (pdo.kind in SYNCHRONOUS) != synchronous:
+                continue
             data = self._pending.pop(can_id)[: pdo.layout.size]
             for key, value in zip(pdo.keys, pdo.layout.unpack(data), strict=True):
                 self.values[key] = value
@@ -230,11 +230,26 @@ class Drive:
     def _configure_pdos(self) -> None:
         self._receive_pdos = {pdo.can_id: pdo for pdo in active_pdos(self.values, receive=True)}
         self._pending = {cob: data for cob, data in self._pending.items() if cob in self._receive_pdos}
-        self._on_sync = [
-            (pdo.can_id, pdo.layout.pack, tuple(self._reader(key) for key in pdo.keys))
+        sent = [
+            (pdo, (pdo.can_id, pdo.layout.pack, tuple(self._reader(key) for key in pdo.keys)))
             for pdo in active_pdos(self.values, receive=False)
-            if pdo.kind in SYNCHRONOUS
         ]
+        self._on_sync = [frame for pdo, frame in sent if pdo.kind in SYNCHRONOUS]
+        self._timed = [
+            TimedPdo(self._now_s + pdo.event_s, pdo.event_s, frame)
+            for pdo, frame in sent
+            if pdo.event_s and pdo.kind not in SYNCHRONOUS
+        ]
+        self._event_timer_s = min([timed.due_s for timed in self._timed], default=NEVER)
+
+    def _send_timed(self, time_s: float) -> None:
+        for timed in self._timed:
+            if timed.due_s <= time_s:
+                timed.due_s += timed.period_s
+                can_id, pack, reads = timed.frame
+                if self.nmt is Nmt.OPERATIONAL:
+                    self._emit(time_s, can_id, pack(*[read() for read in reads]))
+        self._event_timer_s = min([timed.due_s for timed in self._timed], default=NEVER)
 
     @property
     def receive_ids(self) -> tuple[int, ...]:
@@ -292,19 +307,11 @@ class Drive:
     def statusword(self) -> int:
         """6041h now."""
         word = self.state | 0x210  # voltage enabled, remote
-        moving = self.motion.moving(self._now_s)
-        if self._mode == PROFILE_POSITION:
-            if not moving and self._buffered is None:
-                word |= 0x400
-            if self._acknowledged or self._buffered is not None:
-                word |= 0x1000
-        elif self._interpolating():
-            word |= 0x1000
-        return word | 0x800 if self._limited else word
+        return word | self._positioner.status_bits(self._mode, self._interpolating(), self._now_s)
 
     def _interpolating(self) -> bool:
-        enabled = self.state is DriveState.OPERATION_ENABLED
-        return enabled and self._mode == INTERPOLATED and bool(self._controlword & 0x10)
+        active = self._mode == INTERPOLATED and self._controlword & 0x10
+        return bool(active) and self.state is DriveState.OPERATION_ENABLED
 
     def _command(self, command: Command) -> None:
         after = TRANSITIONS.get((self.state, command))
@@ -316,7 +323,7 @@ class Drive:
             return
         self._enable_s = NEVER
         if self.state is DriveState.OPERATION_ENABLED:
-            self._stop_motion(self.settings.quick_stop)
+            self._stop_motion()
         self.state = after
 
     def permit(self, permitted: bool, time_s: float) -> None:
@@ -334,7 +341,7 @@ class Drive:
             return
         self._enable_s = NEVER
         self.state = DriveState.FAULT_REACTION_ACTIVE
-        self._stop_motion(self.settings.quick_stop)
+        self._stop_motion()
         self._emergency(code, register, self._now_s)
         self._reschedule()
 
@@ -360,79 +367,28 @@ class Drive:
             self._command(command_of(word))
         starts = False
         if not word & 0x10:
-            self._acknowledged = False
+            self._positioner.release_set_point()
         if self.state is DriveState.OPERATION_ENABLED and self._mode == PROFILE_POSITION:
-            starts = self._profile_position(word, rising)
+            starts = self._positioner.control(word, rising, self._now_s)
         self._reschedule()
         return starts
 
     # -- motion ----------------------------------------------------------------------------------
 
-    def _profile_position(self, word: int, rising: int) -> bool:
-        starts = False
-        if word & 0x100 and not self._halted:
-            self._halted = True
-            target = self.motion.target
-            self._stop_motion(float(self.values[0x6083, 0]) * self._factor**2)
-            self._target = target
-        elif self._halted and not word & 0x100:
-            self._halted = False
-            starts = True  # CiA 402: the interrupted positioning goes on
-        if rising & 0x10:
-            target = float(self.values[0x607A, 0])
-            if word & 0x40:
-                target += self.motion.position(self._now_s)
-            self._acknowledged = True
-            if self.motion.moving(self._now_s) and not word & 0x20 and not self._halted:
-                self._buffered = target
-            else:
-                self._target, self._buffered = target, None
-                starts = not self._halted
-        return starts
-
     def start_move(self, factor: float) -> None:
         """Start the move that waits, its time divided by `factor`."""
-        self._factor = factor
-        self._move_to(self._target)
+        self._positioner.start(self._now_s, factor)
+        self._watch_sync()
         self._reschedule()
 
     @property
     def waiting_speed(self) -> float:
         """Profile velocity of the move that waits to be started, counts/s; 0 if it is no move."""
-        still = self._target == self.motion.position(self._now_s)
-        return 0.0 if still else min(float(self.values[0x6081, 0]), self.settings.speed_limit)
+        return self._positioner.waiting_speed(self._now_s)
 
-    def _move_to(self, target: float) -> None:
-        lower, upper = int(self.values[0x607D, 1]), int(self.values[0x607D, 2])
-        reachable = min(max(target, lower), upper)
-        self._limited = reachable != target
-        now = self._now_s
-        speed = min(float(self.values[0x6081, 0]), self.settings.speed_limit) * self._factor
-        acceleration = float(self.values[0x6083, 0]) * self._factor**2
-        position, velocity = self.motion.position(now), self.motion.velocity(now)
-        if speed > 0 and acceleration > 0:
-            self.motion.follow(plan_move(now, position, velocity, reachable, speed, acceleration))
-        if self.motion.moving(now) and self._last_sync_s > -math.inf:
+    def _watch_sync(self) -> None:
+        if self.motion.moving(self._now_s) and self._last_sync_s > -math.inf:
             self._sync_check_s = self._last_sync_s + self._sync_timeout_s()
 
-    def _interpolate(self) -> None:
-        if not self._interpolating():
-            return
-        now, step_s = self._now_s, self._interpolation_s()
-        position, target = self.motion.position(now), float(self.values[0x60C1, 1])
-        lower, upper = int(self.values[0x607D, 1]), int(self.values[0x607D, 2])
-        reachable = min(max(target, lower), upper)
-        self._limited = reachable != target
-        if abs(reachable - position) > float(self.values[0x6065, 0]):
-            self.fault(FOLLOWING_ERROR, 0x21)
-        elif reachable != position and step_s > 0:
-            end = Phase(now + step_s, reachable, 0.0, 0.0)
-            self.motion.follow([Phase(now, position, (reachable - position) / step_s, 0.0), end])
-            self._sync_check_s = self._last_sync_s + self._sync_timeout_s()
-
-    def _stop_motion(self, deceleration: float) -> None:
-        now = self._now_s
-        self._buffered = None
-        position, velocity = self.motion.position(now), self.motion.velocity(now)
-        if velocity or self.motion.moving(now):
-            self.motion.follow(plan_stop(now, position, velocity, max(deceleration, 1.0)))
+    def _stop_motion(self) -> None:
+        self._positioner.stop(self.settings.quick_stop, self._now_s)

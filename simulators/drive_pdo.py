@@ -1,6 +1,7 @@
 """The process data of one drive: which objects travel in which frame, as set at run time (CiA 301)."""
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +20,8 @@ from simulators.drive_objects import (
 )
 
 DISABLED: Final = 1 << 31
-SYNCHRONOUS: Final = range(0, 241)
+SYNCHRONOUS: Final = (0, 1)  # every SYNC; not every n-th
+EVENT_DRIVEN: Final = (254, 255)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,18 @@ class Pdo:
     event_s: float  # event timer, 0 = none
 
 
+SentFrame = tuple[int, Callable[..., bytes], tuple[Callable[[], int | float], ...]]  # id, packing, readers
+
+
+@dataclass(slots=True)
+class TimedPdo:
+    """A transmit PDO that goes out by its event timer."""
+
+    due_s: float
+    period_s: float
+    frame: SentFrame
+
+
 def check_pdo_write(values: dict[Key, Value], key: Key, value: Value) -> None:
     """Raises SdoAbort if a communication (14xx, 18xx) or mapping (16xx, 1Axx) object must not become this.
 
@@ -41,7 +55,7 @@ def check_pdo_write(values: dict[Key, Value], key: Key, value: Value) -> None:
     index, sub = key
     number = int(value)
     if index in range(0x1400, 0x1404) or index in range(0x1800, 0x1804):
-        if sub == 2 and number not in SYNCHRONOUS and number not in (254, 255):
+        if sub == 2 and number not in SYNCHRONOUS + EVENT_DRIVEN:
             raise SdoAbort(BAD_VALUE)
         enabled_before = not int(values[index, 1]) & DISABLED
         if sub == 1 and enabled_before and not number & DISABLED and number != values[index, 1]:

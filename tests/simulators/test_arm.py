@@ -239,6 +239,15 @@ def test_the_unused_word_of_the_first_receive_pdo_counts(master: Master) -> None
     assert master.joint_counts() == pytest.approx(start + 500)
 
 
+def test_a_process_data_object_can_have_a_timer(master: Master) -> None:
+    for sub, value, size in ((1, 1 << 31 | 0x183, 4), (2, 255, 1), (5, 50, 2), (1, 0x183, 4)):
+        assert master.write(3, 0x1800, sub, value, size).startswith("60")
+    assert master.write(3, 0x1800, 2, 2, 1).endswith("30 00 09 06")  # every second SYNC: not offered
+    master.send(0x000, "01 03")
+    assert [frame.can_id for frame in master.wait(1.0)].count(0x183) == 20
+    assert 0x183 not in [frame.can_id for frame in master.sync()]
+
+
 def test_set_points_act_at_the_next_sync_only(master: Master) -> None:
     master.enable(3)
     master.send(0x000, "01 03")
