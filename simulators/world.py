@@ -58,14 +58,14 @@ class World:
         self._standstill: tuple[object, float] = (None, math.nan)
         self._ball = truth.flange_T_probe[:3, 3]
 
-    def _place_spheres(self) -> list[tuple[str, FloatArray, float]]:
+    def _place_spheres(self) -> list[tuple[str, list[float], float]]:
         t = self.truth
         near = t.base_T_bar[:3, 3]
         far = near + t.base_T_bar[:3, 2] * t.bar_length_m
         return [
-            ("bar.1", near, float(t.bar_radii_m[0])),
-            ("bar.2", far, float(t.bar_radii_m[1])),
-            ("sphere", t.base_T_sphere[:3, 3], t.sphere_radius_m),
+            ("bar.1", near.tolist(), float(t.bar_radii_m[0])),
+            ("bar.2", far.tolist(), float(t.bar_radii_m[1])),
+            ("sphere", t.base_T_sphere[:3, 3].tolist(), t.sphere_radius_m),
         ]
 
     # -- changes at run time ---------------------------------------------------------------------
@@ -100,17 +100,17 @@ class World:
         """The first surface along a ray from `origin` (3,) in the unit `direction` (3,), both in base."""
         best = self._plate_hit(origin, direction)
         nearest = best.distance_m if best else OUT_OF_SIGHT_M
+        start, way = origin.tolist(), direction.tolist()
         for name, centre, radius in self._spheres:
-            to_centre = centre - origin
-            along = float(to_centre @ direction)
-            rest = radius**2 - float(to_centre @ to_centre) + along**2
+            along = sum([(c - o) * d for c, o, d in zip(centre, start, way, strict=True)])
+            rest = radius**2 - math.dist(centre, start) ** 2 + along**2
             if rest > 0 and 0 < (distance := along - math.sqrt(rest)) < nearest:
                 nearest = distance
                 best = Hit(distance, math.sqrt(rest) / radius, name)
         if self._part_present:
             matrix = self._part_T_base
-            start, way = matrix[:3, :3] @ origin + matrix[:3, 3], matrix[:3, :3] @ direction
-            best = self._solid.hit(start, way, nearest) or best
+            rotation = matrix[:3, :3]
+            best = self._solid.hit(rotation @ origin + matrix[:3, 3], rotation @ direction, nearest) or best
         return best
 
     def _plate_hit(self, origin: FloatArray, direction: FloatArray) -> Hit | None:
@@ -173,10 +173,8 @@ class World:
     def ball_clearances_m(self, centre: FloatArray) -> list[tuple[str, float]]:
         """The same, for the ball centre (3,) in base."""
         radius = self.truth.probe_radius_m
-        gaps = [
-            (name, float(np.linalg.norm(centre - middle)) - size - radius)
-            for name, middle, size in self._spheres
-        ]
+        point = centre.tolist()
+        gaps = [(name, math.dist(point, middle) - size - radius) for name, middle, size in self._spheres]
         gaps.append(("plate", self._plate_distance(centre) - radius))
         if self._part_present:
             matrix = self._part_T_base
