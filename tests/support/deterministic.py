@@ -46,6 +46,8 @@ class DeterministicCell:
     def __post_init__(self) -> None:
         self.cell: Cell = load_cell(self.cell_path)
         self.world = SimulatedCell(self.cell_path.parent, self.seed, scenario=self.scenario)
+        self.sent_can_ids: list[int] = []
+        self._log_can_ids()
         self.store = Store.open(self.store_path, durable=False, clock=self.world.clock)
         self.devices = make_devices(
             self.cell,
@@ -67,6 +69,19 @@ class DeterministicCell:
         self.engine.subscribe(self.events.append)
         self.job.publish = self.engine.publish
         self.wall_s = 0.0
+
+    def _log_can_ids(self) -> None:
+        send = self.world.arm_link.send
+
+        def logged(can_id: int, data: bytes) -> None:
+            self.sent_can_ids.append(can_id)
+            send(can_id, data)
+
+        self.world.arm_link.send = logged  # type: ignore[method-assign]
+
+    def motion_frames(self) -> int:
+        """How many frames were sent that could move the arm: set-points and controlwords."""
+        return sum(can_id & 0x780 in (0x200, 0x300) for can_id in self.sent_can_ids)
 
     @property
     def truth(self) -> Truth:
