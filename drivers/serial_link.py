@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import select
 import threading
 from typing import Final
 
@@ -24,6 +25,8 @@ class SerialLink:
         self.port, self.baud = port, baud
         self._serial: serial.Serial | None = None
         self._reader: threading.Thread | None = None
+        self._draining = threading.Lock()  # reads and flushes of the port exclude each other
+        self._flushes = 0
         self._arrived = threading.Condition()
         self._buffer = bytearray()
         self._failure: DeviceError | None = None
@@ -50,8 +53,6 @@ class SerialLink:
         """Release the port; safe twice."""
         port, self._serial = self._serial, None
         if port is not None:
-            with contextlib.suppress(OSError):
-                port.cancel_read()
             if self._reader is not None:
                 self._reader.join()
             port.close()
@@ -84,15 +85,22 @@ class SerialLink:
         """Drop what was received."""
         port = self._require()
         with contextlib.suppress(serial.SerialException, OSError):  # a port that is gone is told by `read`
-            port.reset_input_buffer()
-        with self._arrived:
-            self._buffer.clear()
+            with self._draining:
+                port.reset_input_buffer()
+                self._flushes += 1
+                with self._arrived:
+                    self._buffer.clear()
 
     def _receive(self, port: serial.Serial) -> None:
         try:
             while self._serial is port:
-                data = port.read(max(1, port.in_waiting))
-                if data:
+                flushes = self._flushes
+                if not select.select([port.fileno()], [], [], READ_SLICE_S)[0]:
+                    continue
+                with self._draining:
+                    if self._flushes != flushes:  # readable no more, which would look like a lost device
+                        continue
+                    data = port.read(max(1, port.in_waiting))
                     with self._arrived:
                         self._buffer += data
                         if len(self._buffer) > KEPT_BYTES:
