@@ -84,12 +84,12 @@ class SerialLink:
     def discard_input(self) -> None:
         """Drop what was received."""
         port = self._require()
-        with contextlib.suppress(serial.SerialException, OSError):  # a port that is gone is told by `read`
-            with self._draining:
+        with self._draining:
+            self._flushes += 1
+            with contextlib.suppress(serial.SerialException, OSError):  # `read` tells that a port is gone
                 port.reset_input_buffer()
-                self._flushes += 1
-                with self._arrived:
-                    self._buffer.clear()
+            with self._arrived:
+                self._buffer.clear()
 
     def _receive(self, port: serial.Serial) -> None:
         try:
