@@ -17,7 +17,7 @@ from estimation.errors import DeviceError
 from estimation.kinematics import ArmModel
 from estimation.transform import FloatArray
 
-BACK_OFF_M = 7e-4  # how far the ball leaves the surface between the fast and the slow touch
+BACK_OFF_M = 3e-4  # how far the ball leaves the surface between the fast and the slow touch
 MINIMUM_CYCLES = 20  # laser cycles in one measurement
 
 

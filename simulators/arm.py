@@ -103,6 +103,16 @@ class SimulatedArm:
     def _schedule(self) -> None:
         self._next_event_s = min([drive.next_event_s for drive in self.drives])
 
+    def peek(self) -> Frame | None:
+        """The next frame, if nothing else happens inside the arm before it is on the bus."""
+        if self._output and self._output[0].time_s < self._next_event_s:
+            return self._output[0]
+        return None
+
+    def pop(self) -> Frame:
+        """Take the frame that `peek` showed."""
+        return self._output.popleft()
+
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
         if time_s >= self._next_event_s:

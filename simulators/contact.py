@@ -10,7 +10,7 @@ from estimation.transform import FloatArray
 from simulators.truth import stream
 from simulators.world import World
 
-SHORTEST_STEP_S: Final = 1e-4
+SHORTEST_STEP_S: Final = 2e-3  # nobody touches and lets go within; the instant itself is found by bisection
 LONGEST_STEP_S: Final = (
     0.1  # the motion looked ahead; a slow touch must not be paced by the fast move after it
 )
