@@ -1,6 +1,6 @@
 """Makes docs/bench-block.png: the bench-block cell, and what its planned poses are worth.
 
-Run `.venv/bin/python docs/make_picture.py` from the root of the project. Everything drawn is computed: the arm
+Run `.venv/bin/python docs/make_picture.py` from the root of the project. Everything is computed: the arm
 from its kinematics, the part from its CAD file, the poses and the curve by the planner.
 """
 
@@ -14,7 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import to_rgb
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from controller.cellfile import Cell, HandEyePhase, load_cell
 from controller.knowledge import cache_dir, first_belief, with_plate
