@@ -26,7 +26,9 @@ from estimation.errors import CellError, CellFileError
 
 SCENARIOS: Final = ("honest", "bumped-laser", "noisy-joint", "cable-pulled", "part-missing", "tight-limit")
 BENCH_BLOCK: Final = Path(__file__).parents[1] / "cells" / "bench-block"
-MOTION_SPEED: Final = 20.0
+MOTION_SPEED: Final = 50.0
+# A simulated arm neither swings nor lags: what a real one needs to settle, and seldom SYNCs, would only be waiting.
+HASTE: Final = (("settle_time", "150 ms", "20 ms"), ("sync_period", "20 ms", "10 ms"))
 START_TIMEOUT_S: Final = 60.0
 UNPLUG_AT_STEP: Final = 20
 TIGHT: Final = '"0.08 mm"'
@@ -134,6 +136,8 @@ def _copy_cell(place: Place, scenario: str) -> int:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
     text = re.sub(r'(host = "127\.0\.0\.1"\nport = )\d+', rf"\g<1>{port}", place.cell.read_text())
+    for name, before, after in HASTE:
+        text = text.replace(f'{name} = "{before}"', f'{name} = "{after}"')
     if scenario == "tight-limit":
         text = re.sub(
             r'(name = "localize"(?:(?!\[\[).)*?\nlimit = )"[^"]*"', rf"\g<1>{TIGHT}", text, flags=re.S

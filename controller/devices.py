@@ -1,5 +1,8 @@
 """The drivers of a cell, from its file and three links: real ports or the deterministic cell's."""
 
+import math
+from typing import Final
+
 from controller.cellfile import Cell
 from drivers.adam6052 import AdamProbe, ProbeConfig
 from drivers.canopen_arm import CanopenArm
@@ -8,6 +11,8 @@ from drivers.capabilities import Devices
 from drivers.clock import Clock
 from drivers.links import ByteLink, CanLink
 from drivers.optoncdt import LaserConfig, OptoncdtLaser
+
+SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
 
 
 def make_devices(
@@ -32,6 +37,8 @@ def make_devices(
             in_position_rad=robot.in_position_rad,
             sync_period_s=robot.sync_period_s,
             counts_per_rad=1.0 / robot.encoder_step_rad,
+            most_missed_syncs=max(3, math.ceil(SILENCE_S / (2.0 * robot.sync_period_s))),  # each costs two
+            sync_timeout_factor=min(255, max(3, math.ceil(SILENCE_S / robot.sync_period_s))),
             model=robot.model,
         ),
         clock,

@@ -20,7 +20,7 @@ from drivers.links import CanLink
 from estimation.errors import DeviceError, DeviceTimeout
 
 HEARTBEAT_PERIOD_S: Final = 0.1
-MOST_DOUBLE_ANSWERS: Final = 10  # in DOUBLE_WINDOW SYNCs; a few are a link that repeats frames
+MOST_DOUBLE_ANSWERS: Final = 10  # of one joint in DOUBLE_WINDOW SYNCs; a few are a link that stalls
 DOUBLE_WINDOW: Final = 50
 KEEPER_SLICE_S: Final = 0.005
 DRAIN_LIMIT_S: Final = 0.5
@@ -104,7 +104,7 @@ class CanopenMaster:
         self._answered, self._awaiting, self._interrupted = 0, False, 0
         self._sync_number, self._sync_s, self._next_sync_s = 0, 0.0, math.inf
         self._next_heartbeat_s = math.inf
-        self._missed = self._doubled = 0
+        self._missed, self._doubled = 0, [0] * joints
         self.samples.clear()
         self._news = 0  # complete samples and faults, for those who wait for either
         self.emergencies: list[tuple[int, codec.Emergency]] = []
@@ -279,7 +279,7 @@ class CanopenMaster:
             self._interrupted -= 1
         self._sync_number += 1
         if self._sync_number % DOUBLE_WINDOW == 0:
-            self._doubled = 0
+            self._doubled = [0] * len(self.node_ids)
         self._sync_s = now
         self._next_sync_s += self._period_s
         if self._next_sync_s <= now:
@@ -327,8 +327,8 @@ class CanopenMaster:
     def _count_double(self, joint: int) -> None:
         if self._interrupted:
             return
-        self._doubled += 1
-        if self._doubled >= MOST_DOUBLE_ANSWERS:
+        self._doubled[joint] += 1
+        if self._doubled[joint] >= MOST_DOUBLE_ANSWERS:
             self._latch(
                 DeviceError(
                     f"{self.name([joint])} answers twice to one SYNC: "

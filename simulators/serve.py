@@ -115,6 +115,8 @@ class CellServer:
         self._now_s = self._clock.tick(LONGEST_STEP_S)
         for key, _ in events:
             key.data()
+        # Followed step by step: a probe that is asked after a minute of motion must answer at once all the same.
+        self._model.contact.update(self._now_s)
         self._serve_arm_output()
         self._serve_laser_output()
         self._serve_probe_output()
