@@ -1,0 +1,82 @@
+"""A hundred cells, each a whole job with wires, drivers and gates in virtual time: is what is stated true?"""
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from controller.packml import State
+from controller.truth_table import compare
+from tests.support.deterministic import DeterministicCell
+from tests.support.honesty import Honesty, laser_error, nees, part_error
+
+SEEDS = range(1, 101)
+FEWEST_RELEASED = 96
+INSIDE = (89, 99)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one honest cell came to."""
+
+    seed: int
+    state: State
+    released: bool
+    wrongly_released: tuple[str, ...]
+    hand_eye_nees: float
+    part_nees: float
+    message: str
+
+
+def run_cell(seed: int) -> Outcome:
+    """One whole job."""
+    cell = DeterministicCell(seed)
+    state = cell.run()
+    results = cell.results()
+    table = compare(cell.cell, list(results.values()), cell.truth.to_json())
+    found = [np.nan, np.nan]
+    if "hand-eye" in results:
+        belief = cell.belief("hand-eye")
+        found[0] = nees(laser_error(belief, cell.truth), belief.block_covariance("laser"))
+    if "localize" in results:
+        belief = cell.belief("localize")
+        found[1] = nees(part_error(belief, cell.truth), belief.block_covariance("part"))
+    wrong = tuple(row.quantity for row in table.rows if row.wrongly_released)
+    outcome = Outcome(seed, state, cell.released, wrong, *found, cell.engine.status()["message"])
+    cell.close()
+    return outcome
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> list[Outcome]:
+    context = multiprocessing.get_context("forkserver")
+    workers = len(os.sched_getaffinity(0)) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    with ProcessPoolExecutor(max(1, workers), mp_context=context) as pool:
+        return list(pool.map(run_cell, SEEDS, chunksize=5))
+
+
+@pytest.mark.timeout(1200)
+def test_honest_cells_are_released_and_none_wrongly(outcomes: list[Outcome]) -> None:
+    refused = [outcome for outcome in outcomes if not outcome.released]
+    for outcome in refused:
+        print(f"seed {outcome.seed}: {outcome.state}: {outcome.message}")
+    print(f"released OK: {len(outcomes) - len(refused)} of {len(outcomes)}")
+    assert not [outcome for outcome in outcomes if outcome.wrongly_released]
+    assert len(outcomes) - len(refused) >= FEWEST_RELEASED
+
+
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("which", ["hand_eye_nees", "part_nees"])
+def test_the_95_percent_region_holds_the_truth(outcomes: list[Outcome], which: str) -> None:
+    values = np.array([getattr(outcome, which) for outcome in outcomes])
+    honesty = Honesty(5 if which == "hand_eye_nees" else 6, values[np.isfinite(values)])
+    low, high = honesty.band(0.99)
+    print(
+        f"{which}: inside {honesty.inside} of {len(honesty.values)}, mean NEES/m "
+        f"{honesty.mean_over_dimension:.3f}, 99 % band {low:.3f} to {high:.3f}"
+    )
+    assert INSIDE[0] <= honesty.inside <= INSIDE[1]
+    assert low <= honesty.mean_over_dimension <= high
