@@ -15,9 +15,18 @@ from controller.faults import Defect, Fault, GateHeld, Interrupted, OutsideCause
 from controller.packml import Command, PackMLMachine, State, StateChange
 from drivers.capabilities import Devices
 from drivers.clock import Clock
-from estimation.errors import CellError, DeviceError, IllegalTransition, MotionStopped, StoreError
+from estimation.errors import (
+    CellError,
+    DeviceError,
+    DeviceTimeout,
+    IllegalTransition,
+    MotionStopped,
+    StoreError,
+)
 
 log = logging.getLogger(__name__)
+
+REST_TIMEOUT_S = 2.0
 
 Listener = Callable[[dict[str, Any]], None]
 
@@ -268,9 +277,19 @@ class Engine:
         self._message = "All phases ended"
 
     def _come_to_rest(self) -> None:
-        """Holding, Suspending and Aborting: nothing moves any more."""
-        if self._connected:
-            self._devices.robot.stop()
+        """Holding, Suspending and Aborting: nothing moves any more, as far as the arm can still be asked."""
+        self.request_stop()
+        deadline_s = self._clock.now_s() + REST_TIMEOUT_S
+        try:
+            while self._connected and not self._devices.robot.is_at_rest():
+                if self._clock.now_s() > deadline_s:
+                    raise DeviceTimeout(
+                        f"The arm still moves {REST_TIMEOUT_S:g} s after the request to stop",
+                        "Use the stop at the robot, then Clear",
+                    )
+        except DeviceError as error:
+            self._connected = False
+            log.warning("coming to rest: %s", error)
         if self._machine.state is State.ABORTING:
             self._disconnect()
 
