@@ -1,7 +1,7 @@
 """Commands that need no daemon: they start one, or look at a cell file, or simulate."""
 
 import logging
-import subprocess
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,13 +46,14 @@ def serve(
 
 
 def check(cell: CellArgument, as_json: JsonOption = False) -> None:
-    """Find all mistakes in a cell file, each with its line. Opens no device.
+    """Find all mistakes in a cell file, each with its line, and limits that cannot be met. Opens no device.
 
     Example: truecell check cells/bench-block
     """
     from controller.cellfile import check_cell, format_mistakes
+    from controller.planning.feasibility import limit_mistakes
 
-    mistakes = check_cell(cell)
+    mistakes = check_cell(cell, feasibility=limit_mistakes)
     if as_json:
         keys = ("file", "line", "key", "value", "problem", "remedy")
         found = [{key: getattr(mistake, key) for key in keys} for mistake in mistakes]
@@ -67,11 +68,14 @@ def check(cell: CellArgument, as_json: JsonOption = False) -> None:
 def plan(
     cell: CellArgument,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Also predict the uncertainty that each plan would reach.")
+        bool,
+        typer.Option("--dry-run", help="Also name what dominates U when all allowed measurements are taken."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what the job would measure, phase by phase. Opens no device.
+    """Show what the job would measure, phase by phase, with the predicted uncertainty U. Opens no device.
+
+    U is the expanded uncertainty (3-D, 95 %) at the worst gated point, in mm.
 
     Example: truecell plan cells/bench-block --dry-run
     """
@@ -93,22 +97,22 @@ def plan(
 
 
 def simulate(context: typer.Context, cell: CellArgument) -> None:
-    """Run the simulated devices of a cell, until Ctrl-C. Further options go to the simulators.
+    """Run the simulated devices of a cell, until Ctrl-C. Prints "ready" once every port is open.
 
-    Example: truecell simulate cells/bench-block --seed 7
+    Options go to the simulators: --seed N draws another cell, --scenario NAME is one of world.toml,
+    --motion-speed FACTOR divides the time of free moves.
+
+    Example: truecell simulate cells/bench-block --seed 7 --motion-speed 20
     """
     folder = cell if cell.is_dir() else cell.parent
     command = [sys.executable, "-m", "simulators", str(folder), *context.args]
-    with subprocess.Popen(command) as simulators:
-        try:
-            code = simulators.wait()
-        except KeyboardInterrupt:  # the terminal has sent it to the simulators as well
-            code = simulators.wait()
-    raise typer.Exit(code if code >= 0 else ExitCode.INTERRUPTED)
+    os.execv(sys.executable, command)  # in place of this process, so that whoever ends one ends the other
 
 
 def demo(
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Which simulated cell.")] = 1,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Which simulated cell: all its errors are drawn from it.")
+    ] = 1,
     scenario: Annotated[
         str,
         typer.Option(
@@ -118,7 +122,10 @@ def demo(
     ] = "honest",
     folder: Annotated[
         Path | None,
-        typer.Option("--folder", help="Where to keep cell, store and report. Default: truecell-demo."),
+        typer.Option(
+            "--folder",
+            help="Where each demo makes a folder for cell, store and report. Default: truecell-demo.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -21,7 +21,7 @@ CellArgument = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with JSON on standard output.")]
 SocketOption = Annotated[
     Path | None,
-    typer.Option("--socket", help="The daemon's socket. Default: $TRUECELL_SOCKET, else one of this user."),
+    typer.Option("--socket", help="The daemon's socket. Default: $TRUECELL_SOCKET, else this user's."),
 ]
 WhoOption = Annotated[
     str | None, typer.Option("--who", help="Who decides this. Default: the user at this computer.")

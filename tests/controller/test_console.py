@@ -338,7 +338,7 @@ def test_serve_runs_what_the_cell_file_says_until_its_end(
 def test_a_defect_is_one_sentence_and_its_own_code(
     truecell: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(_path: Path) -> list[object]:
+    def broken(_path: Path, **_options: object) -> list[object]:
         raise ZeroDivisionError("oh")
 
     monkeypatch.setattr("controller.cellfile.check_cell", broken)
