@@ -105,12 +105,11 @@ def _shifts(
     jacobian = points.jacobian[:, :, belief.index("laser")]
     moved = jacobian @ test.bump
     covariance = jacobian @ test.covariance @ np.swapaxes(jacobian, 1, 2)
+    size_m = np.linalg.norm(moved, axis=1)
+    along = moved / size_m[:, None]
+    u_m = np.sqrt(np.einsum("ki,kij,kj->k", along, covariance, along))
     return [
-        {
-            "point": f"{range_m * 1e3:.0f} mm",
-            "moved_m": float(np.linalg.norm(moved[i])),
-            "u_m": float(np.sqrt(np.linalg.eigvalsh(covariance[i])[-1])),
-        }
+        {"point": f"{range_m * 1e3:.0f} mm", "moved_m": float(size_m[i]), "u_m": float(u_m[i])}
         for i, range_m in enumerate(ranges_m)
     ]
 

@@ -23,6 +23,7 @@ PATCH: Final = (4, 3)  # points of the noise patch
 HOP_M: Final = 0.002  # between them: another speckle, the same plane
 _SPINS: Final = 12
 _AZIMUTHS: Final = np.radians(np.arange(0.0, 360.0, 30.0))
+_NEAR_AND_FAR: Final = (0.15, 0.8)  # of the working range
 _LEAST_OFFSET: Final = 0.35  # of the cap's radius: nearer to its middle a point says nothing sideways
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
@@ -75,10 +76,14 @@ class _Options:
 
 
 def _options(workspace: Workspace, points: int) -> _Options:
-    """All orientations that work, with tilts 0 and 45 deg, all azimuths and spins, and two distances."""
+    """All orientations that work, with tilts 0 and 45 deg, all azimuths and spins.
+
+    The points of a cap are seen from near and from far in turn: from one distance, a shift of the laser and a
+    turn about it look alike, and what a bump does at other distances would stay open.
+    """
     bar, low, high = workspace.cell.bar, *workspace.cell.laser.working_range_m
     ends = workspace.pose("bar").points(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, bar.length_m]]))
-    distances = low + (high - low) * np.array([0.35, 0.6])
+    distances = low + (high - low) * np.array(_NEAR_AND_FAR)
     tilted = np.array(
         [(1, a, s, d) for a in range(len(_AZIMUTHS)) for s in range(_SPINS) for d in range(2)]
         + [(0, 0, s, d) for s in range(_SPINS) for d in range(2)]
@@ -86,7 +91,6 @@ def _options(workspace: Workspace, points: int) -> _Options:
     tilt = BAR_TILT_RAD * tilted[:, 0]
     azimuth, spin_place = tilted[:, 1], tilted[:, 2]
     spin = spin_place * 2.0 * np.pi / _SPINS
-    distance = distances[tilted[:, 3]]
     beams = directions_around(_DOWN, tilt, _AZIMUTHS[azimuth])
     # First the middles of the caps, which rule out most; then every point of what is left.
     crown = np.repeat(ends[None], len(beams), 0) - bar.sphere_radius_m * beams[:, None]
@@ -95,7 +99,7 @@ def _options(workspace: Workspace, points: int) -> _Options:
         crown.reshape(-1, 3),
         np.repeat(beams, 2, 0),
         np.repeat(spin, 2),
-        np.repeat(distance, 2),
+        np.full(2 * len(beams), distances.mean()),
     )
     left = np.flatnonzero(reached.reshape(-1, 2).all(axis=1))
     offset_m = _offset_m(workspace)
@@ -106,7 +110,9 @@ def _options(workspace: Workspace, points: int) -> _Options:
     sideways = directions_around(along, np.full(many, np.pi / 2), turns)
     local = offset_m * sideways - height_m * along
     base_p = np.concatenate([ends[0] + local, ends[1] + local])
-    spins, ranges = np.tile(np.repeat(spin[left], points), 2), np.tile(np.repeat(distance[left], points), 2)
+    far_first = np.repeat(tilted[left, 3], points)
+    ranges = np.tile(distances[(np.tile(np.arange(points), len(left)) + far_first) % 2], 2)
+    spins = np.tile(np.repeat(spin[left], points), 2)
     joints, found = aimed_beams(workspace, base_p, np.tile(along, (2, 1)), spins, ranges)
     features = features_of(workspace, "bar")
     index = np.repeat(np.arange(2, dtype=np.intp), many)
