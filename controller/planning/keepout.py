@@ -66,6 +66,12 @@ class Box:
     low_m: FloatArray
     high_m: FloatArray
 
+    @property
+    def top_m(self) -> float:
+        """Height of its highest corner over the bench: a tilted box stands higher than it is."""
+        up = self.base_T_box.rotation[2]
+        return float(self.base_T_box.origin_m[2] + np.maximum(up * self.low_m, up * self.high_m).sum())
+
 
 @dataclass(frozen=True, eq=False)
 class Keepout:

@@ -170,11 +170,7 @@ def _above(workspace: Workspace, aims: Aims) -> FloatArray:
     """Stations over the hovering ones, as high as the ball is clear of the object; frame of the object."""
     pose = workspace.pose(aims.object)
     base = pose.points(aims.hover_p_m)
-    top_m = max(
-        box.base_T_box.origin_m[2] + box.high_m[2]
-        for box in workspace.keepout.boxes
-        if box.name == aims.object
-    )
+    top_m = max(box.top_m for box in workspace.keepout.boxes if box.name == aims.object)
     base[:, 2] = np.maximum(base[:, 2], top_m + ABOVE_M)
     return pose.inverse().points(base)
 
