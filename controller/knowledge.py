@@ -20,6 +20,7 @@ LASER_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the beam change
 PLANE_FREEDOMS = ("tz", "rx", "ry")
 BAR_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the line of centres changes nothing
 POINT_FREEDOMS = ("tx", "ty", "tz")
+TOUCH_VARIANCE = 2 / 3  # of joints interpolated between two readings: mean of p^2 + (1 - p)^2
 INSPECTED_U_M = 1e-3  # prior of an inspected size or place: wide, so that no wish enters the verdict
 
 
@@ -199,6 +200,7 @@ def _batch(
         reading_variance = cell.laser.noise_m**2 + cell.laser.reading_noise_m**2 / cycles
     else:
         reading = np.zeros(count)
+        variance = variance * TOUCH_VARIANCE
         travel_m = cell.probe.touch_speed_m_s * cell.probe.poll_period_s
         reading_variance = np.full(count, cell.probe.noise_m**2 + travel_m**2 / 12)
     flatness_m = cell.plate.flatness_u_m if name == "plate" else 0.0
