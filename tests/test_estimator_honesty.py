@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.cellfile import Cell, load_cell
+from controller.cellfile import Cell, LocalizePhase, load_cell
 from controller.knowledge import first_belief, joint_variance, observations, with_part, with_plate
 from controller.planning import plan_coarse_localize, plan_hand_eye
 from controller.planning.steps import Step
@@ -47,9 +47,21 @@ def _measure(
         seen = joints + joint_std * random.standard_normal(len(joints))
         good = np.isfinite(true_m)
         yield Sample(
-            step.id, step.kind, step.object, step.feature, tuple(seen.tolist()), (0.0,) * len(joints),
-            cell.robot.readings, float(reading_m) if good else 0.0, 0.0, 100, "good" if good else "bad", "", 0.0, 0.0,
-        )  # fmt: skip
+            step=step.id,
+            kind=step.kind,
+            object=step.object,
+            feature=step.feature,
+            joints_rad=tuple(seen.tolist()),
+            joint_scatter_rad=(0.0,) * len(joints),
+            joint_readings=cell.robot.readings,
+            reading_m=float(reading_m) if good else 0.0,
+            reading_scatter_m=0.0,
+            readings=100,
+            quality="good" if good else "bad",
+            why="",
+            source_time_s=0.0,
+            utc_s=0.0,
+        )
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +72,8 @@ def campaign() -> tuple[Honesty, Honesty]:
     plate_plan = plan_hand_eye(cell, start, arm, 80, 1)
     plate_steps, predicted = plate_plan.steps, plate_plan.belief
     assert predicted is not None
-    faces = ("top", "front", "back", "left", "right")
-    part_steps = plan_coarse_localize(cell, with_part(predicted, cell), arm, faces, 1, count=POINTS).steps
+    (spec,) = (phase for phase in cell.job.phases if isinstance(phase, LocalizePhase))
+    part_steps = plan_coarse_localize(cell, with_part(predicted, cell), arm, spec, 1, count=POINTS).steps
     hand_eye, part = [], []
     for seed in SEEDS:
         truth = draw_truth(file, seed)
