@@ -36,6 +36,7 @@ def make_devices(
             acceleration_limit_rad_s2=(robot.acceleration_rad_s2,) * len(robot.joints),
             in_position_rad=robot.in_position_rad,
             sync_period_s=robot.sync_period_s,
+            cruise_sync_period_s=robot.cruise_sync_period_s,
             counts_per_rad=1.0 / robot.encoder_step_rad,
             most_missed_syncs=max(3, math.ceil(SILENCE_S / (2.0 * robot.sync_period_s))),  # each costs two
             sync_timeout_factor=min(255, max(3, math.ceil(SILENCE_S / robot.sync_period_s))),

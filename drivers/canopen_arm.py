@@ -6,7 +6,6 @@ and all joints start at the same SYNC.
 """
 
 import contextlib
-import math
 import threading
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -20,7 +19,6 @@ from drivers.canopen_master import CanopenMaster, Sample
 from drivers.capabilities import Identity, JointReadings, LinkHealth, TouchProbe
 from drivers.clock import Clock
 from drivers.links import CanLink
-from drivers.motion_profile import synchronize
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
 from estimation.transform import FloatArray
 
@@ -28,6 +26,7 @@ _FAULT_BIT: Final = 1 << 3  # set in "fault" and "fault reaction active" only
 _ENABLED_MASK: Final = 0x6F
 _ENABLED: Final = 0x27
 _NOT_ENABLED: Final = _ENABLED_MASK & ~_ENABLED
+_END_MARGIN: Final = 2  # SYNC periods; so long before its computed end a free move is watched closely
 
 
 class CanopenArm:
@@ -48,6 +47,7 @@ class CanopenArm:
             clock,
             config.node_ids,
             sync_period_s=config.sync_period_s,
+            cruise_sync_period_s=config.cruise_sync_period_s,
             sdo_timeout_s=config.sdo_timeout_s,
             master_id=config.master_id,
             heartbeat_timeout_s=config.heartbeat_timeout_s,
@@ -57,7 +57,6 @@ class CanopenArm:
         self._setup = ArmSetup(self._master, clock, config, master_is_watched=keep_alive_thread)
         self._joints = len(config.node_ids)
         self._units = JointUnits(config)
-        self._window = self._units.window
         self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
         self._stop_requested = False
         self._connected, self._opened = False, 0
@@ -127,12 +126,13 @@ class CanopenArm:
         target = self._units.counts(target_rad)
         speed_rad_s = np.array(self._config.speed_limit_rad_s) * speed_fraction
         with self._at_rest_on_error():
-            deadline_s = self._start(target, speed_rad_s)
+            end_s, deadline_s = self._start(target, speed_rad_s)
             previous: Sample | None = None
-            while not self._arrived(previous, sample := self._motion_sample(), target):
-                previous = sample
-                if self._clock.now_s() > deadline_s:
-                    raise self._units.not_at_target(sample.counts, target)
+            with self._master.cruising(end_s - _END_MARGIN * self._config.sync_period_s):
+                while not self._arrived(previous, sample := self._motion_sample(), target):
+                    previous = sample
+                    if self._clock.now_s() > deadline_s:
+                        raise self._units.not_at_target(sample.counts, target)
             self._wait(self._config.settle_time_s)
 
     def move_until_contact(
@@ -146,7 +146,7 @@ class CanopenArm:
         target = self._units.counts(target_rad)
         limits = np.minimum(np.array(self._config.speed_limit_rad_s), speed_rad_s)
         with self._at_rest_on_error():
-            deadline_s = self._start(target, limits)
+            _, deadline_s = self._start(target, limits)
             seen = self._master.samples[-1]
             while (touched_s := probe.touched_at_s()) is None:
                 self._master.service()
@@ -253,8 +253,8 @@ class CanopenArm:
                     raise self._stopped()
                 self._send_controlword_unlocked(controlwords)
 
-    def _start(self, target: list[int], speed_limit_rad_s: FloatArray) -> float:
-        """Start all joints at one SYNC; returns the deadline for the arrival."""
+    def _start(self, target: list[int], speed_limit_rad_s: FloatArray) -> tuple[float, float]:
+        """Start all joints at one SYNC; returns when they should have arrived, and when they must have."""
         self._require_connection()
         sample = self._master.next_sample()
         if self._stop_requested:
@@ -265,14 +265,7 @@ class CanopenArm:
             self._enable()
             sample = self._master.next_sample()
         config = self._config
-        # Where a joint stands is known to its reading noise only: one that seems to be there already may
-        # have some counts to go, and must not be told to crawl them.
-        counts = np.maximum(np.abs(np.array(target) - np.array(sample.counts)), self._window)
-        distance_rad = counts / config.counts_per_rad
-        move = synchronize(distance_rad, speed_limit_rad_s, np.array(config.acceleration_limit_rad_s2))
-        # Rounded up: a joint that moves a few counts only must not arrive late.
-        velocity = [max(1, math.ceil(v * config.counts_per_rad)) for v in move.velocity]
-        self._acceleration = [max(1, math.ceil(a * config.counts_per_rad)) for a in move.acceleration]
+        velocity, self._acceleration, duration_s = self._units.move(sample.counts, target, speed_limit_rad_s)
         # A halt stays until the new set-point replaces the old one: released alone, the old move would go on.
         self._command(codec.ENABLE | (codec.HALT if self._halted else 0))
         with self._command_lock:
@@ -293,7 +286,9 @@ class CanopenArm:
                 )
         self._halted = False
         self._command(codec.ENABLE)
-        return self._clock.now_s() + 1.1 * move.duration_s + config.settle_time_s + config.move_margin_s
+        now = self._clock.now_s()
+        allowed_s = 1.1 * duration_s + config.settle_time_s + config.move_margin_s
+        return now + duration_s, now + allowed_s
 
     # --- watching a move -----------------------------------------------------------------------------
 
@@ -329,16 +324,16 @@ class CanopenArm:
         """At rest in the window, by the drives' word and by the positions of two samples."""
         if previous is None or not sample.all_set & codec.TARGET_REACHED:
             return False
-        window = self._window
+        window, apart = self._units.window, self._units.apart
         return all(
-            abs(now - wanted) <= window and abs(now - before) <= window
+            abs(now - wanted) <= window and abs(now - before) <= apart
             for now, before, wanted in zip(sample.counts, previous.counts, target, strict=True)
         )
 
     def _resting(self, first: Sample, second: Sample) -> bool:
         for word, before, now in zip(second.statuswords, first.counts, second.counts, strict=True):
             enabled = word & _ENABLED_MASK == _ENABLED
-            if abs(now - before) > self._window:
+            if abs(now - before) > self._units.apart:
                 return False
             # A drive that never got a set-point may leave the bit clear.
             if enabled and self._commanded and not word & codec.TARGET_REACHED:

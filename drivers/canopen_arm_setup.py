@@ -31,6 +31,7 @@ class ArmConfig:
     acceleration_limit_rad_s2: tuple[float, ...]
     in_position_rad: float
     sync_period_s: float = 0.02
+    cruise_sync_period_s: float = 0.0  # far from the end of a free move; never below sync_period_s
     settle_time_s: float = 0.0  # waited at rest before a move returns
     counts_per_rad: float = 180_000.0 / math.pi  # 0.001 degree
     model: str = ""  # for the record

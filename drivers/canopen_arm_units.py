@@ -7,17 +7,24 @@ import numpy as np
 
 from drivers.canopen_arm_setup import ArmConfig
 from drivers.canopen_master import Sample
+from drivers.motion_profile import synchronize
 from estimation.errors import DeviceError
 from estimation.transform import FloatArray
 
 
 class JointUnits:
-    """Units and limits of one arm. `window` is the in-position window in counts."""
+    """Units and limits of one arm.
+
+    `window` is the in-position window in counts; two readings of one place may differ by `apart`, because
+    each has its noise.
+    """
 
     def __init__(self, config: ArmConfig) -> None:
         self._counts_per_rad = config.counts_per_rad
         self._lower, self._upper = np.array(config.lower_rad), np.array(config.upper_rad)
+        self._acceleration_limit = np.array(config.acceleration_limit_rad_s2)
         self.window = max(1, round(config.in_position_rad * config.counts_per_rad))
+        self.apart = math.ceil(math.sqrt(2.0) * self.window)
 
     def counts(self, target_rad: FloatArray) -> list[int]:
         """A target (joints,) in counts. Raises DeviceError outside the joint limits."""
@@ -36,6 +43,19 @@ class JointUnits:
                 "Choose a pose inside the joint limits",
             )
         return [round(float(angle) * self._counts_per_rad) for angle in target]
+
+    def move(
+        self, present: Sequence[int], target: Sequence[int], speed_limit_rad_s: FloatArray
+    ) -> tuple[list[int], list[int], float]:
+        """A synchronized move: velocity and acceleration of each joint in counts, and the duration in s."""
+        # Where a joint stands is known to its reading noise only: one that seems to be there already may
+        # have some counts to go, and must not be told to crawl them.
+        counts = np.maximum(np.abs(np.array(target) - np.array(present)), self.window)
+        move = synchronize(counts / self._counts_per_rad, speed_limit_rad_s, self._acceleration_limit)
+        # Rounded up: a joint that moves a few counts only must not arrive late.
+        velocity = [max(1, math.ceil(v * self._counts_per_rad)) for v in move.velocity]
+        acceleration = [max(1, math.ceil(a * self._counts_per_rad)) for a in move.acceleration]
+        return velocity, acceleration, move.duration_s
 
     def joints_at(self, time_s: float, samples: Sequence[Sample]) -> FloatArray:
         """Joints (joints,) rad, on the line between the samples before and after an instant."""

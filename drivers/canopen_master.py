@@ -10,12 +10,13 @@ import math
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from drivers import canopen_arm_codec as codec
 from drivers.canopen_sdo import SdoPort
 from drivers.clock import Clock
+from drivers.foreground import Foreground
 from drivers.links import CanLink
 from estimation.errors import DeviceError, DeviceTimeout
 
@@ -39,30 +40,6 @@ class Sample(NamedTuple):
     counts: tuple[int, ...]
 
 
-class _Foreground:
-    """A re-entrant lock with a right of way: `wanted` tells the keeper to stand back."""
-
-    def __init__(self) -> None:
-        self.lock, self.wanted = threading.RLock(), 0
-        self.idle = threading.Event()
-        self.idle.set()
-        self._count_lock = threading.Lock()
-
-    def __enter__(self) -> None:
-        if not self.lock.acquire(blocking=False):
-            with self._count_lock:
-                self.wanted += 1
-                self.idle.clear()
-            self.lock.acquire()
-            with self._count_lock:
-                self.wanted -= 1
-                if not self.wanted:
-                    self.idle.set()
-
-    def __exit__(self, *error: object) -> None:
-        self.lock.release()
-
-
 class CanopenMaster:
     """One bus with one node per joint; only `interrupt` may be called from other threads."""
 
@@ -73,6 +50,7 @@ class CanopenMaster:
         node_ids: Sequence[int],
         *,
         sync_period_s: float,
+        cruise_sync_period_s: float,
         sdo_timeout_s: float,
         master_id: int,
         heartbeat_timeout_s: float,
@@ -83,6 +61,7 @@ class CanopenMaster:
         self._heartbeat_timeout_s, self._most_missed = heartbeat_timeout_s, most_missed_syncs
         self.node_ids = tuple(node_ids)
         self._period_s, self._heartbeat_id = sync_period_s, codec.HEARTBEAT + master_id
+        self._cruise_period_s = max(sync_period_s, cruise_sync_period_s)
         self.sdo = SdoPort(link, node_ids, self._pump_for_sdo, sdo_timeout_s)
         self._tpdo = {codec.TPDO[0] + node: i for i, node in enumerate(self.node_ids)}
         self._emcy = {codec.EMCY + node: i for i, node in enumerate(self.node_ids)}
@@ -90,7 +69,7 @@ class CanopenMaster:
         self._full = (1 << len(self.node_ids)) - 1
         self.samples: deque[Sample] = deque(maxlen=256)
         self.frames = self.bad_frames = self.timeouts = 0
-        self._foreground = _Foreground()
+        self._foreground = Foreground()
         self._closing = threading.Event()
         self._keeper: threading.Thread | None = None
         self.reset()
@@ -103,7 +82,7 @@ class CanopenMaster:
         self._heard_s = [math.inf] * joints
         self._answered, self._awaiting, self._interrupted = 0, False, 0
         self._sync_number, self._sync_s, self._next_sync_s = 0, 0.0, math.inf
-        self._next_heartbeat_s = math.inf
+        self._next_heartbeat_s, self._cruise_until_s = math.inf, -math.inf
         self._missed, self._doubled = 0, [0] * joints
         self.samples.clear()
         self._news = 0  # complete samples and faults, for those who wait for either
@@ -112,7 +91,7 @@ class CanopenMaster:
 
     # --- the driver's thread -------------------------------------------------------------------------
 
-    def foreground(self) -> "_Foreground":
+    def foreground(self) -> Foreground:
         """Exclusive use of the bus; the keeper stands back as long as anyone wants it."""
         return self._foreground
 
@@ -160,6 +139,24 @@ class CanopenMaster:
             if self._awaiting:
                 self._pump(self._clock.now_s() + self._period_s / 2)
             self._next_sync_s = self._clock.now_s()
+
+    @contextlib.contextmanager
+    def cruising(self, until_s: float) -> Iterator[None]:
+        """SYNC at the longer period as long as it fits in before `until_s`: nothing is expected earlier.
+
+        A missing answer, an interruption, a fault or the end of the context returns to the short period.
+        """
+        self._cruise_until_s = until_s
+        try:
+            yield
+        finally:
+            with self.foreground():
+                self._end_cruise()
+
+    def _end_cruise(self) -> None:
+        self._cruise_until_s = -math.inf
+        if self._next_sync_s < math.inf:
+            self._next_sync_s = min(self._next_sync_s, self._sync_s + self._period_s)
 
     def service(self) -> None:
         """Take what has arrived and send what is due, without waiting. Raises the latched fault."""
@@ -281,9 +278,12 @@ class CanopenMaster:
         if self._sync_number % DOUBLE_WINDOW == 0:
             self._doubled = [0] * len(self.node_ids)
         self._sync_s = now
-        self._next_sync_s += self._period_s
+        period_s = self._cruise_period_s
+        if now + period_s > self._cruise_until_s or self._missed or self._interrupted:
+            period_s = self._period_s
+        self._next_sync_s += period_s
         if self._next_sync_s <= now:
-            self._next_sync_s = now + self._period_s
+            self._next_sync_s = now + period_s
         self._link.send(codec.SYNC, b"")
 
     def _dispatch(self, can_id: int, data: bytes, time_s: float) -> None:
@@ -390,5 +390,6 @@ class CanopenMaster:
         if self._fault is None:  # the first one names the cause
             self._fault = fault
             self._news += 1
+            self._end_cruise()  # what `on_fault` sends acts with the next SYNC
             with contextlib.suppress(DeviceError):
                 self._on_fault()

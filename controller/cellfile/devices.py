@@ -85,6 +85,8 @@ class Robot(Table):
     """What the drives say they are."""
     sync_period_s: Duration = Field(ge=0.001, le=1)
     """Time between two SYNC messages; one joint reading each."""
+    cruise_sync_period_s: Duration = Field(0.05, ge=0.001, le=0.06)
+    """The same far from the end of a free move, where less must be seen; at least `sync_period`."""
     speed_rad_s: AngularSpeed = Field(gt=0, le=radians(600))
     """Of the fastest joint in a free move."""
     acceleration_rad_s2: AngularAcceleration = Field(gt=0, le=radians(10_000))
