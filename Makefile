@@ -39,7 +39,7 @@ demo: $(STAMP) ## run the whole cell against simulated devices
 
 test: lint ## everything that must pass before a commit lands
 	@echo "tests"
-	@$(BIN)/pytest -q -n 2
+	@$(BIN)/pytest -q -n 2 --dist loadfile
 
 lint: $(STAMP) ## style, types and import contracts
 	@echo "ruff check"

@@ -1,5 +1,20 @@
-"""For every test: one thread of linear algebra each, as in the daemon."""
+"""For every test: one thread of linear algebra each, as in the daemon; the longest files first."""
 
 import os
 
+import pytest
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Workers take whole files in this order, so that none is left with a long one at the end.
+LONGEST_FIRST = ("test_many_cells", "test_kill", "test_wires", "test_scenarios", "test_real_wires")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Stable: within a file, and among the short ones, the order stays."""
+
+    def place(item: pytest.Item) -> int:
+        name = item.path.stem
+        return LONGEST_FIRST.index(name) if name in LONGEST_FIRST else len(LONGEST_FIRST)
+
+    items.sort(key=place)
