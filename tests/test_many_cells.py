@@ -67,7 +67,7 @@ def test_honest_cells_are_released_and_none_wrongly(outcomes: list[Outcome]) -> 
         for row in outcome.rows:
             flag = "inside" if row.inside else "OUTSIDE its 95 %"
             print(
-                f"seed {outcome.seed}: {row.quantity}: error {row.error_mm:.3f} mm, U {row.stated_mm:.3f}, {flag}"
+                f"seed {outcome.seed}: {row.quantity}: off {row.error_mm:.3f} mm, U {row.stated_mm:.3f}, {flag}"
             )
     assert not [(o.seed, row) for o in outcomes for row in o.rows if row.wrongly_released]
     assert len(outcomes) - len(refused) >= FEWEST_RELEASED
