@@ -1,5 +1,6 @@
 """`truecell plan`: every phase of the job as it would be planned, without a device and without motion."""
 
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -23,33 +24,29 @@ from estimation.kinematics import ArmModel
 SECONDS_A_STEP = {"laser": 1.8, "noise": 2.5, "touch": 3.0}  # mean of simulated jobs, moves included
 
 
-def plan_job(cell_path: Path, predict: bool) -> list[dict[str, Any]]:
+def plan_job(cell_path: Path) -> list[dict[str, Any]]:
     """One row for each phase: steps by kind, predicted U against the limit, dominating source, time.
 
     Poses of later phases follow from what earlier ones will find; here all is where the cell file says.
     """
     cell = load_cell(cell_path)
-    reachable = {item.phase: item for item in feasibility(cell)} if predict else {}
+    reachable = {item.phase: item for item in feasibility(cell)}
     rows = []
-    for name, kind, limit_m, plan in _plans(cell):
+    for name, limit_m, plan in _plans(cell):
         best = reachable.get(name)
         seconds = sum(SECONDS_A_STEP.get(step.kind, 2.0) for step in plan.steps)
-        row: dict[str, Any] = {
-            "phase": name,
-            "kind": kind,
-            "steps": len(plan.steps),
-            "of": ", ".join(f"{count} {what}" for what, count in _counts(plan.steps).items()),
-            "limit_mm": None if limit_m is None else f"{limit_m * 1e3:.2f}",
-            "predicted_U_mm": None
-            if plan.worst is None or limit_m is None
-            else f"{plan.worst.U_m * 1e3:.3f}",
-            "about_s": f"{seconds:.0f}",
-        }
-        if predict:
-            row["dominated_by"] = (
-                None if best is None else f"{best.best.dominating[0]} {best.best.dominating[1]:.0%}"
-            )
-        rows.append(row)
+        rows.append(
+            {
+                "phase": name,
+                "measures": ", ".join(f"{count} {what}" for what, count in _counts(plan.steps).items()),
+                "limit_mm": None if limit_m is None else f"{limit_m * 1e3:.2f}",
+                "U_mm": None if plan.worst is None or limit_m is None else f"{plan.worst.U_m * 1e3:.3f}",
+                "dominated_by": None
+                if best is None
+                else f"{best.best.dominating[0]} {best.best.dominating[1]:.0%}",
+                "about_s": f"{seconds:.0f}",
+            }
+        )
     return rows
 
 
@@ -58,16 +55,14 @@ def list_steps(cell_path: Path) -> list[dict[str, Any]]:
     cell = load_cell(cell_path)
     return [
         {
-            "phase": name,
             "step": step.id,
             "kind": step.kind,
-            "object": step.object,
-            "feature": step.feature,
-            "joints_deg": " ".join(f"{angle * 57.29577951308232:.1f}" for angle in step.joints_rad),
+            "on": step.object if step.feature in ("", step.object) else f"{step.object} {step.feature}",
+            "joints_deg": " ".join(f"{degrees(angle):.1f}" for angle in step.joints_rad),
             "expected_mm": f"{step.expected_m * 1e3:.1f}" if step.kind == "laser" else None,
             "note": step.note,
         }
-        for name, _, _, plan in _plans(cell)
+        for _, _, plan in _plans(cell)
         for step in plan.steps
     ]
 
@@ -80,14 +75,14 @@ def _counts(steps: tuple[Step, ...]) -> dict[str, int]:
     return counts
 
 
-def _plans(cell: Cell) -> list[tuple[str, str, float | None, Plan]]:
+def _plans(cell: Cell) -> list[tuple[str, float | None, Plan]]:
     arm, belief, steps = cell.robot.arm_model(), first_belief(cell), dict[str, tuple[Step, ...]]()
-    found: list[tuple[str, str, float | None, Plan]] = []
+    found: list[tuple[str, float | None, Plan]] = []
     for spec in cell.job.phases:
         plan, belief = _plan(cell, arm, belief, spec, steps)
         steps[spec.name] = plan.steps
         limit_m = spec.limit_m if isinstance(spec, HandEyePhase | LocalizePhase) else None
-        found.append((spec.name, spec.kind, limit_m, plan))
+        found.append((spec.name, limit_m, plan))
     return found
 
 

@@ -65,9 +65,9 @@ def test_honest_cells_are_released_and_none_wrongly(outcomes: list[Outcome]) -> 
     print(f"released OK: {len(outcomes) - len(refused)} of {len(outcomes)}")
     for outcome in outcomes[:10]:
         for row in outcome.rows:
-            flag = "inside" if row.inside else "OUTSIDE its 95 %"
+            flag = "inside" if row.inside else "OUTSIDE"
             print(
-                f"seed {outcome.seed}: {row.quantity}: off {row.error_mm:.3f} mm, U {row.stated_mm:.3f}, {flag}"
+                f"seed {outcome.seed}: {row.quantity}: {row.error_mm:.3f} of U {row.stated_mm:.3f} mm, {flag}"
             )
     assert not [(o.seed, row) for o in outcomes for row in o.rows if row.wrongly_released]
     assert len(outcomes) - len(refused) >= FEWEST_RELEASED

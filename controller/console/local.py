@@ -69,30 +69,34 @@ def plan(
     cell: CellArgument,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Also name what dominates U when all allowed measurements are taken."),
+        typer.Option("--dry-run", help="List every step in order instead of a line for each phase."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the job would measure, phase by phase, with the predicted uncertainty U. Opens no device.
 
-    U is the expanded uncertainty (3-D, 95 %) at the worst gated point, in mm.
+    U is the expanded uncertainty (3-D, 95 %) at the worst gated point, in mm, and what dominates it when all
+    allowed measurements are taken. Poses of later phases follow from what earlier ones find: here everything
+    lies where the cell file says.
 
     Example: truecell plan cells/bench-block --dry-run
     """
-    from controller.dry_run import plan_job
+    from controller.dry_run import list_steps, plan_job
 
-    phases: list[dict[str, Any]] = plan_job(cell, predict=dry_run)
+    rows: list[dict[str, Any]] = list_steps(cell) if dry_run else plan_job(cell)
     if as_json:
-        options.print_json({"phases": phases})
+        options.print_json({"steps" if dry_run else "phases": rows})
         return
     from rich.table import Table
 
     from controller.console import show
 
-    columns = list(phases[0]) if phases else []
-    table = Table(*(column.replace("_", " ") for column in columns), box=None, pad_edge=False)
-    for phase in phases:
-        table.add_row(*("" if phase[column] is None else str(phase[column]) for column in columns))
+    columns = list(rows[0]) if rows else []
+    table = Table(box=None, pad_edge=False)
+    for column in columns:
+        table.add_column(column.replace("_", " "), no_wrap=column in ("step", "joints_deg", "on"))
+    for row in rows:
+        table.add_row(*("" if row[column] is None else str(row[column]) for column in columns))
     show.console().print(table)
 
 
