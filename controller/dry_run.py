@@ -57,7 +57,7 @@ def list_steps(cell_path: Path) -> list[dict[str, Any]]:
         {
             "step": step.id,
             "kind": step.kind,
-            "on": step.object if step.feature in ("", step.object) else f"{step.object} {step.feature}",
+            "on": step.feature if step.feature.startswith(step.object) else f"{step.object} {step.feature}",
             "joints_deg": " ".join(f"{degrees(angle):.1f}" for angle in step.joints_rad),
             "expected_mm": f"{step.expected_m * 1e3:.1f}" if step.kind == "laser" else None,
             "note": step.note,
