@@ -13,7 +13,7 @@ from controller.cellfile import job
 from controller.gates import Proof, Verdict
 from controller.knowledge import observations, with_bar
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, checked_phase, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, checked_phase, good
 from controller.planning import plan_bar_check
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -24,7 +24,7 @@ from estimation.statistics import Outcome
 GUARD = 1.645  # one-sided 95 %, on the uncertainty of the check itself
 
 
-class BarCheckPhase:
+class BarCheckPhase(OnePlan):
     """Bar spheres from several tool orientations, and some poses of the hand-eye again."""
 
     def plan(self, context: PhaseContext[job.CheckPhase]) -> Sequence[Step]:
@@ -33,11 +33,6 @@ class BarCheckPhase:
         return plan_bar_check(
             context.cell, prior, context.arm, context.spec, checked.steps, context.seed
         ).steps
-
-    def more(
-        self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
-    ) -> Sequence[Step]:
-        return ()
 
     def evaluate(
         self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -85,15 +80,6 @@ class BarCheckPhase:
             "points": len(good(samples)),
         }
         return Finding(verdict, context.belief, estimate)
-
-    def extend(
-        self,
-        context: PhaseContext[job.CheckPhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        return ()
 
 
 def _shifts(

@@ -72,6 +72,22 @@ class PhaseKind(Protocol):
         """Steps that may cure a finding that did not pass; empty when none can."""
 
 
+class OnePlan:
+    """A phase whose first plan is all it measures; kinds that go on override these."""
+
+    def more(
+        self, context: PhaseContext[Any], steps: Sequence[Step], samples: Sequence[Sample]
+    ) -> Sequence[Step]:
+        """Nothing follows from the samples."""
+        return ()
+
+    def extend(
+        self, context: PhaseContext[Any], steps: Sequence[Step], samples: Sequence[Sample], finding: Finding
+    ) -> Sequence[Step]:
+        """More of the same would cure nothing."""
+        return ()
+
+
 def good(samples: Sequence[Sample], *kinds: str) -> list[Sample]:
     """The samples that may enter an estimate, of the given kinds (all kinds if none is given)."""
     return [sample for sample in samples if sample.good and (not kinds or sample.kind in kinds)]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from controller.gates import Proof, worst
+from controller.gates import Proof, Verdict, worst
 from estimation.belief import Belief
 from estimation.measurement import Points
 from estimation.solver import Update
@@ -91,6 +91,31 @@ def rank_proof(update: Update) -> Proof:
         Outcome.NOT_DECIDABLE if missing else Outcome.OK,
         "; ".join(missing) if missing else "the data determine every freedom",
     )
+
+
+def uncertainty_verdict(
+    update: Update, gated: Sequence[Mapping[str, Any]], limit_m: float, what: str
+) -> Verdict:
+    """The gate of a phase that estimates: every freedom seen, residuals as declared, U within the limit.
+
+    Only too large a U can be cured by measuring more of the same.
+    """
+    rank, consistency = rank_proof(update), consistency_proof(update)
+    uncertainty = uncertainty_proof(gated, limit_m)
+    if rank.outcome is not Outcome.OK and update.rank is not None:
+        remedy = "; ".join(dict.fromkeys(direction.remedy for direction in update.rank.missing))
+    elif consistency.outcome is not Outcome.OK:
+        remedy = (
+            "Look for a loose sensor, a moved object or a wrong noise in the cell file, then measure again"
+        )
+    elif uncertainty.outcome is not Outcome.OK:
+        remedy = f"Reduce {next(iter(worst_point(gated)['budget']))}, or raise the limit"
+    else:
+        remedy = ""
+    proofs = (rank, consistency, uncertainty)
+    done = f"{what} known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
+    curable = rank.outcome is consistency.outcome is Outcome.OK
+    return Verdict(proofs, message(proofs, done), remedy, curable)
 
 
 def fit_summary(update: Update) -> dict[str, Any]:

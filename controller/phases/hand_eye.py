@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from controller.cellfile import job
-from controller.gates import Verdict
 from controller.knowledge import observations, with_plate
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, good
 from controller.planning import more_hand_eye, plan_hand_eye
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -21,17 +20,12 @@ OUTLIER_LEVEL = 0.001  # probability that an honest batch loses a row
 MORE_AT_ONCE = 20
 
 
-class HandEyePhase:
+class HandEyePhase(OnePlan):
     """Laser on the plate from planned poses."""
 
     def plan(self, context: PhaseContext[job.HandEyePhase]) -> Sequence[Step]:
         prior = with_plate(context.belief, context.cell)
         return plan_hand_eye(context.cell, prior, context.arm, context.spec.measurements, context.seed).steps
-
-    def more(
-        self, context: PhaseContext[job.HandEyePhase], steps: Sequence[Step], samples: Sequence[Sample]
-    ) -> Sequence[Step]:
-        return ()
 
     def evaluate(
         self, context: PhaseContext[job.HandEyePhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -47,20 +41,7 @@ class HandEyePhase:
             reject_level=OUTLIER_LEVEL,
         )
         gated = self.gated(context, fit.belief)
-        uncertainty = findings.uncertainty_proof(gated, context.spec.limit_m)
-        proofs = (findings.rank_proof(fit), findings.consistency_proof(fit), uncertainty)
-        only_uncertainty = all(proof is uncertainty or proof.outcome.value == "OK" for proof in proofs)
-        source = next(iter(findings.worst_point(gated)["budget"]))
-        verdict = Verdict(
-            proofs,
-            findings.message(
-                proofs, f"Hand-eye known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
-            ),
-            ""
-            if all(proof.outcome.value == "OK" for proof in proofs)
-            else f"Reduce {source}, or raise the limit",
-            curable=only_uncertainty,
-        )
+        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Hand-eye")
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("laser")),
             "values": findings.block_values(

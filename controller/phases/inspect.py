@@ -10,7 +10,7 @@ from controller.cellfile import Cell, job
 from controller.gates import Proof, Verdict, worst
 from controller.knowledge import observations, part_features, with_inspected, with_probe
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, good
 from controller.planning import plan_inspect
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -34,17 +34,12 @@ class Measured:
     method: str
 
 
-class InspectPhase:
+class InspectPhase(OnePlan):
     """Touches on the stylus sphere and on the tolerated features; all in one estimate."""
 
     def plan(self, context: PhaseContext[job.InspectPhase]) -> Sequence[Step]:
         prior = with_inspected(with_probe(context.belief, context.cell), context.cell)
         return plan_inspect(context.cell, prior, context.arm, context.spec, context.seed).steps
-
-    def more(
-        self, context: PhaseContext[job.InspectPhase], steps: Sequence[Step], samples: Sequence[Sample]
-    ) -> Sequence[Step]:
-        return ()
 
     def evaluate(
         self, context: PhaseContext[job.InspectPhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -109,15 +104,6 @@ class InspectPhase:
             "conformance_probability": cell.job.conformance_probability,
         }
         return Finding(verdict, fit.belief, estimate)
-
-    def extend(
-        self,
-        context: PhaseContext[job.InspectPhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        return ()
 
     def _characteristic(
         self,

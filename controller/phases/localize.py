@@ -5,10 +5,9 @@ from typing import Any
 
 from controller.cellfile import job
 from controller.faults import OutsideCause
-from controller.gates import Verdict
 from controller.knowledge import observations, part_corners_m, with_part
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, good
 from controller.planning import more_localize, plan_coarse_localize, plan_localize
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -22,7 +21,7 @@ FEWEST_COARSE = 6  # points without which the six freedoms of the part stay open
 COARSE_NOTE = "coarse"
 
 
-class LocalizePhase:
+class LocalizePhase(OnePlan):
     """A few robust points to find the part, then the planned ones; all are fitted."""
 
     def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
@@ -79,18 +78,7 @@ class LocalizePhase:
         corners = part_corners_m(context.cell)
         names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f}) mm" for x, y, z in corners]
         gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
-        uncertainty = findings.uncertainty_proof(gated, context.spec.limit_m)
-        proofs = (findings.rank_proof(fit), findings.consistency_proof(fit), uncertainty)
-        passed = all(proof.outcome.value == "OK" for proof in proofs)
-        source = next(iter(findings.worst_point(gated)["budget"]))
-        verdict = Verdict(
-            proofs,
-            findings.message(
-                proofs, f"Part known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
-            ),
-            "" if passed else f"Reduce {source}, or raise the limit",
-            curable=all(proof is uncertainty or proof.outcome.value == "OK" for proof in proofs),
-        )
+        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Part")
         faces = [f"part.{name}" for name in context.spec.faces]
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("part")),

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 from controller.cellfile import job
 from controller.gates import Proof, Verdict
 from controller.knowledge import first_belief, observations, with_plate
-from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, good
 from controller.phases.findings import message
 from controller.planning import plan_noise
 from controller.planning.steps import Step
@@ -21,18 +21,13 @@ from estimation.transform import FloatArray
 LEVEL = 0.001  # probability that an honest joint or laser is called too noisy
 
 
-class NoisePhase:
+class NoisePhase(OnePlan):
     """Scatter of readings at rest, and of laser points on a small patch of the plate."""
 
     def plan(self, context: PhaseContext[job.NoisePhase]) -> Sequence[Step]:
         return plan_noise(
             context.cell, with_plate(context.belief, context.cell), context.arm, context.spec
         ).steps
-
-    def more(
-        self, context: PhaseContext[job.NoisePhase], steps: Sequence[Step], samples: Sequence[Sample]
-    ) -> Sequence[Step]:
-        return ()
 
     def evaluate(
         self, context: PhaseContext[job.NoisePhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -55,15 +50,6 @@ class NoisePhase:
             ]
         }
         return Finding(verdict, context.belief, estimate)
-
-    def extend(
-        self,
-        context: PhaseContext[job.NoisePhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        return ()
 
 
 def _pooled(scatter: FloatArray, counts: FloatArray) -> tuple[FloatArray, float]:

@@ -10,7 +10,7 @@ from controller.cellfile import job
 from controller.gates import Proof, Verdict
 from controller.knowledge import observations
 from controller.phases import findings
-from controller.phases.base import Finding, PhaseContext, checked_phase, good
+from controller.phases.base import Finding, OnePlan, PhaseContext, checked_phase, good
 from controller.planning import plan_part_check
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -21,7 +21,7 @@ GUARD = 1.645  # one-sided 95 %, on the uncertainty of the check itself
 FEWEST = 6
 
 
-class PartCheckPhase:
+class PartCheckPhase(OnePlan):
     """Points from other orientations; each residual is held against the limit, all together against S."""
 
     def plan(self, context: PhaseContext[job.CheckPhase]) -> Sequence[Step]:
@@ -34,11 +34,6 @@ class PartCheckPhase:
             used,
             context.seed,
         ).steps
-
-    def more(
-        self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
-    ) -> Sequence[Step]:
-        return ()
 
     def evaluate(
         self, context: PhaseContext[job.CheckPhase], steps: Sequence[Step], samples: Sequence[Sample]
@@ -93,12 +88,3 @@ class PartCheckPhase:
             "limit": upper,
         }
         return Finding(verdict, context.belief, estimate)
-
-    def extend(
-        self,
-        context: PhaseContext[job.CheckPhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        return ()
