@@ -18,6 +18,8 @@ from estimation.kinematics import ArmModel
 from estimation.transform import FloatArray
 
 BACK_OFF_M = 3e-4  # how far the ball leaves the surface between the fast and the slow touch
+SLOW_TOUCHES = 8  # at most, when the polls of the probe come too far apart
+POLL_SLACK = 5.0  # a touch may be uncertain by so many poll periods: more is another noise than declared
 MINIMUM_CYCLES = 20  # laser cycles in one measurement
 
 
@@ -114,17 +116,7 @@ class Acquisition:
         if fast is None:
             robot.move_joints(start)
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="nothing touched")
-        path_m = self._path_m(start, target)
-        back = fast + (start - target) * min(1.0, BACK_OFF_M / path_m)
-        robot.move_joints(back)
-        if not probe.is_open():
-            raise DeviceError(
-                "The probe stays tripped after backing off", "Look at stylus and wiring, then Unhold"
-            )
-        probe.arm()
-        contact = robot.move_until_contact(
-            target, self._joint_speed(start, target, self._cell.probe.touch_speed_m_s), probe
-        )
+        contact = self._touch_slowly(start, target, fast)
         robot.move_joints(start)
         if contact is None:
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="second touch missed")
@@ -133,6 +125,30 @@ class Acquisition:
                 "The probe stays tripped after the retreat", "Look at stylus and wiring, then Unhold"
             )
         return self._sample(step, JointReadings(before.time_s, contact[None, :]))
+
+    def _touch_slowly(self, start: FloatArray, target: FloatArray, contact: FloatArray) -> FloatArray | None:
+        """Back off from a contact and touch again, until a poll of the probe was near enough to the touch."""
+        robot, probe, spec = self._devices.robot, self._devices.probe, self._cell.probe
+        late_m = spec.search_speed_m_s * probe.poll_uncertainty_s  # so far in when it was noticed
+        share = min(1.0, (BACK_OFF_M + late_m) / self._path_m(start, target))
+        limit_s = POLL_SLACK * spec.poll_period_s
+        for _ in range(SLOW_TOUCHES):
+            robot.move_joints(contact + share * (start - target))
+            if not probe.is_open():
+                raise DeviceError(
+                    "The probe stays tripped after backing off", "Look at stylus and wiring, then Unhold"
+                )
+            probe.arm()
+            slow = robot.move_until_contact(
+                target, self._joint_speed(start, target, spec.touch_speed_m_s), probe
+            )
+            if slow is None or probe.poll_uncertainty_s <= limit_s:
+                return slow
+        raise DeviceError(
+            f"{SLOW_TOUCHES} touches in a row known to {probe.poll_uncertainty_s * 1e3:.0f} ms only, "
+            f"limit {limit_s * 1e3:.0f} ms",
+            "Check the network and the load of the computer, then Unhold",
+        )
 
     def _path_m(self, start: FloatArray, target: FloatArray) -> float:
         offset = self._cell.probe.mount.transform().origin_m

@@ -26,9 +26,14 @@ from estimation.errors import CellError, CellFileError
 
 SCENARIOS: Final = ("honest", "bumped-laser", "noisy-joint", "cable-pulled", "part-missing", "tight-limit")
 BENCH_BLOCK: Final = Path(__file__).parents[1] / "cells" / "bench-block"
-MOTION_SPEED: Final = 50.0
-# A simulated arm neither swings nor lags: what a real one needs to settle, and seldom SYNCs, would only be waiting.
-HASTE: Final = (("settle_time", "150 ms", "20 ms"), ("sync_period", "20 ms", "10 ms"))
+MOTION_SPEED: Final = 100.0
+# A simulated arm does not swing, and its stylus does not break: what a real one needs would only be waiting.
+HASTE: Final = (
+    ("settle_time", "150 ms", "20 ms"),
+    ("sync_period", "20 ms", "10 ms"),
+    ("cruise_sync_period", "50 ms", "10 ms"),
+    ("search_speed", "8 mm/s", "20 mm/s"),
+)
 START_TIMEOUT_S: Final = 60.0
 UNPLUG_AT_STEP: Final = 20
 TIGHT: Final = '"0.08 mm"'
@@ -137,7 +142,7 @@ def _copy_cell(place: Place, scenario: str) -> int:
         port = int(probe.getsockname()[1])
     text = re.sub(r'(host = "127\.0\.0\.1"\nport = )\d+', rf"\g<1>{port}", place.cell.read_text())
     for name, before, after in HASTE:
-        text = text.replace(f'{name} = "{before}"', f'{name} = "{after}"')
+        text = text.replace(f'\n{name} = "{before}"', f'\n{name} = "{after}"')
     if scenario == "tight-limit":
         text = re.sub(
             r'(name = "localize"(?:(?!\[\[).)*?\nlimit = )"[^"]*"', rf"\g<1>{TIGHT}", text, flags=re.S

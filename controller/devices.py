@@ -14,6 +14,8 @@ from drivers.optoncdt import LaserConfig, OptoncdtLaser
 
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
 
+SEARCH_GAP_S: Final = 0.5  # between two polls of a search; `Acquisition` asks far more of a touch that counts
+
 
 def make_devices(
     cell: Cell,
@@ -60,7 +62,12 @@ def make_devices(
     )
     touch_probe = AdamProbe(
         probe_link,
-        ProbeConfig(channel=probe.channel, poll_period_s=probe.poll_period_s, model=probe.model),
+        ProbeConfig(
+            channel=probe.channel,
+            poll_period_s=probe.poll_period_s,
+            model=probe.model,
+            longest_gap_s=SEARCH_GAP_S,
+        ),
         clock,
     )
     return Devices(arm, range_sensor, touch_probe)

@@ -1,7 +1,9 @@
 """From a cell file to an engine on real ports."""
 
+import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from controller.cellfile import load_cell
 from controller.devices import make_devices
@@ -16,6 +18,7 @@ from drivers.serial_link import SerialLink
 from drivers.tcp_link import TcpLink
 
 STORE_NAME = "cell.sqlite"
+SWITCH_INTERVAL_S: Final = 0.0005  # at Python's 5 ms, each answer of a device waits for the other threads
 
 
 def build_engine(cell_path: Path, state_dir: Path) -> tuple[Engine, Store]:
@@ -24,6 +27,7 @@ def build_engine(cell_path: Path, state_dir: Path) -> tuple[Engine, Store]:
     Raises CellFileError with all mistakes, StoreError when the store is in use or damaged.
     """
     cell = load_cell(cell_path, feasibility=limit_mistakes)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     clock = RealClock()
     store = Store.open(state_dir / STORE_NAME)
     devices = make_devices(

@@ -148,19 +148,20 @@ class CanopenArm:
         with self._at_rest_on_error():
             _, deadline_s = self._start(target, limits)
             seen = self._master.samples[-1]
-            while (touched_s := probe.touched_at_s()) is None:
-                self._master.service()
-                sample = self._master.samples[-1]
-                if sample is seen:
-                    if self._stop_requested:
-                        raise self._stopped()
-                    continue
-                self._check_sample(sample)
-                if self._arrived(seen, sample, target):
-                    return None
-                if self._clock.now_s() > deadline_s:
-                    raise self._units.not_at_target(sample.counts, target)
-                seen = sample
+            with self._master.foreground():  # nobody else on the bus: no thread keeps a reply waiting
+                while (touched_s := probe.touched_at_s()) is None:
+                    self._master.service()
+                    sample = self._master.samples[-1]
+                    if sample is seen:
+                        if self._stop_requested:
+                            raise self._stopped()
+                        continue
+                    self._check_sample(sample)
+                    if self._arrived(seen, sample, target):
+                        return None
+                    if self._clock.now_s() > deadline_s:
+                        raise self._units.not_at_target(sample.counts, target)
+                    seen = sample
             # The SYNC that makes the halt act also samples the joints: the first sample after the contact.
             self._command(codec.ENABLE | codec.HALT)
             self._halted = True

@@ -228,9 +228,11 @@ class CanopenMaster:
         now = now_s()
         while True:
             if now >= self._next_sync_s:
-                if now > self._next_sync_s + self._period_s:  # we were away: hear first what the nodes said
-                    self._drain(now + DRAIN_LIMIT_S)
-                    now = self._next_sync_s = now_s()
+                if self._awaiting or now > self._next_sync_s + self._period_s:
+                    self._drain(now + DRAIN_LIMIT_S)  # we were away: hear first what the nodes said
+                    now = now_s()
+                    if now > self._next_sync_s + self._period_s:
+                        self._next_sync_s = now
                 self._send_sync(now)
             if self._news != news:
                 return

@@ -115,7 +115,7 @@ class CellServer:
         self._now_s = self._clock.tick(LONGEST_STEP_S)
         for key, _ in events:
             key.data()
-        # Followed step by step: a probe that is asked after a minute of motion must answer at once all the same.
+        # Followed as it goes: a probe that is asked after a minute of motion must answer at once.
         self._model.contact.update(self._now_s)
         self._serve_arm_output()
         self._serve_laser_output()
