@@ -44,6 +44,7 @@ class SimulatedArm:
         self._motion_speed = motion_speed
         factors = np.ones(len(spec.nodes)) if noise_factors is None else np.asarray(noise_factors)
         self.drives = [self._drive(joint, float(factors[joint])) for joint in range(len(spec.nodes))]
+        self._motions = [drive.motion for drive in self.drives]
         self._by_node = dict(zip(spec.nodes, self.drives, strict=True))
         self._next_event_s = math.inf
         self._receivers: dict[int, Drive] = {}
@@ -188,7 +189,7 @@ class SimulatedArm:
 
     def joints_at(self, time_s: float) -> FloatArray:
         """True joint angles (n,) at any instant up to the present, rad."""
-        counts = [drive.motion.position(time_s) for drive in self.drives]
+        counts = [motion.position(time_s) for motion in self._motions]
         return np.array(counts) * COUNT_RAD
 
     def standstill(self, time_s: float) -> tuple[int, ...] | None:
@@ -199,12 +200,12 @@ class SimulatedArm:
 
     def rests_until(self, time_s: float) -> float:
         """When the arm's standstill of that instant ends, as known now; the instant itself while it moves."""
-        return min([drive.motion.rests_until(time_s) for drive in self.drives])
+        return min([motion.rests_until(time_s) for motion in self._motions])
 
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
-        """No joint (n,) is faster between these instants, as planned now."""
-        return np.array([drive.motion.speed_bound(start_s, end_s) for drive in self.drives]) * COUNT_RAD
+    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> list[float]:
+        """No joint is faster between these instants, as planned now."""
+        return [motion.speed_bound(start_s, end_s) * COUNT_RAD for motion in self._motions]
 
     def plans(self) -> int:
         """Changes whenever the plan of any joint does."""
-        return sum([drive.motion.plans for drive in self.drives])
+        return sum([motion.plans for motion in self._motions])

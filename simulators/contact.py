@@ -1,6 +1,7 @@
 """The switch of the stylus: when it closed and opened, found only when somebody asks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -30,8 +31,8 @@ class MovingArm(Protocol):
     def rests_until(self, time_s: float) -> float:
         """When the standstill that holds then ends; that instant itself if there is none."""
 
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
-        """No joint (n,) is faster between these instants, as planned now."""
+    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> Sequence[float]:
+        """No joint is faster between these instants, as planned now."""
 
     def plans(self) -> int:
         """Changes whenever the planned motion does."""
@@ -50,7 +51,7 @@ class StylusContact:
 
     def __init__(self, world: World, arm: MovingArm) -> None:
         self._world, self._arm = world, arm
-        self._reaches = world.ball_reaches_m()
+        self._reaches: list[float] = world.ball_reaches_m().tolist()
         self._noise = stream(world.truth.seed, "noise.probe")
         self.count = 0  # closings since power-on
         self.touches: list[Touch] = []
@@ -70,12 +71,13 @@ class StylusContact:
 
     def _gap(self, time_s: float) -> tuple[float, str]:
         """Smallest gap, including the scatter of this contact: it closes at zero."""
-        gaps = self._world.clearances_m(self._arm.joints_at(time_s))
-        name, gap = min(
-            ((name, gap - (self._flat_m if name == "plate" else 0.0)) for name, gap in gaps),
-            key=lambda item: item[1],
-        )
-        return gap - self._scatter_m, name
+        nearest, smallest = "", math.inf
+        for name, gap in self._world.clearances_m(self._arm.joints_at(time_s)):
+            if name == "plate":
+                gap -= self._flat_m
+            if gap < smallest:
+                nearest, smallest = name, gap
+        return smallest - self._scatter_m, nearest
 
     def update(self, time_s: float) -> None:
         """Find every closing and opening up to then."""
@@ -96,15 +98,20 @@ class StylusContact:
 
     def _next_look(self) -> float:
         """The contact cannot change before."""
-        resting_until = self._arm.rests_until(self._time_s)
-        if math.isinf(resting_until):
-            return math.inf
-        self._time_s = resting_until
-        horizon_s = self._time_s + LONGEST_STEP_S
-        bound = float(self._arm.speed_bounds_rad_s(self._time_s, horizon_s) @ self._reaches)
+        bound = self._speed_bound_m_s()
+        if not bound:  # at rest, and perhaps for long
+            resting_until = self._arm.rests_until(self._time_s)
+            if math.isinf(resting_until):
+                return math.inf
+            self._time_s = resting_until
+            bound = self._speed_bound_m_s()
         missing = self._world.file.probe.release_m - self._gap_m if self.closed else self._gap_m
         step_s = missing / bound if bound else LONGEST_STEP_S
         return self._time_s + min(max(step_s, SHORTEST_STEP_S), LONGEST_STEP_S)
+
+    def _speed_bound_m_s(self) -> float:
+        speeds = self._arm.speed_bounds_rad_s(self._time_s, self._time_s + LONGEST_STEP_S)
+        return sum([speed * reach for speed, reach in zip(speeds, self._reaches, strict=True)])
 
     def _look(self, time_s: float) -> None:
         before_s, self._time_s = self._time_s, time_s

@@ -76,6 +76,7 @@ class AxisMotion:
     def __init__(self, position: float) -> None:
         self._starts = [-math.inf]
         self._phases = [Phase(0.0, position, 0.0, 0.0)]
+        self._known, self._known_from_s, self._known_until_s = self._phases[0], -math.inf, math.inf
         self.end_s = -math.inf  # when the present plan comes to rest
         self.target = position
         self.plans = 0  # how often the plan changed
@@ -86,6 +87,7 @@ class AxisMotion:
         if self._starts[first - 1] == phases[0].start_s:
             first -= 1
         del self._starts[first:], self._phases[first:]
+        self._known_until_s = -math.inf
         self._starts += [phase.start_s for phase in phases]
         self._phases += phases
         self.end_s, self.target = phases[-1].start_s, phases[-1].position
@@ -99,15 +101,24 @@ class AxisMotion:
         last = len(starts) - 1
         return last if time_s >= starts[last] else bisect_right(starts, time_s) - 1
 
+    def _phase(self, time_s: float) -> Phase:
+        """The phase that holds at an instant; the one found last is known, because time goes on slowly."""
+        if not self._known_from_s <= time_s < self._known_until_s:
+            starts, number = self._starts, self.phase_number(time_s)
+            self._known, self._known_from_s = self._phases[number], starts[number]
+            self._known_until_s = starts[number + 1] if number + 1 < len(starts) else math.inf
+        return self._known
+
     def position(self, time_s: float) -> float:
-        start, p, v, a = self._phases[self.phase_number(time_s)]
+        known = self._known_from_s <= time_s < self._known_until_s  # as nearly always; this runs very often
+        start, p, v, a = self._known if known else self._phase(time_s)
         if v == 0 and a == 0:
             return p
         dt = time_s - start
         return p + v * dt + a * dt * dt / 2
 
     def velocity(self, time_s: float) -> float:
-        start, _, v, a = self._phases[self.phase_number(time_s)]
+        start, _, v, a = self._phase(time_s)
         return v + a * (time_s - start) if a else v
 
     def moving(self, time_s: float) -> bool:
@@ -115,16 +126,18 @@ class AxisMotion:
 
     def rests_until(self, time_s: float) -> float:
         """When the standstill that holds at `time_s` ends; that instant itself while it moves."""
-        number = self.phase_number(time_s)
-        _, _, v, a = self._phases[number]
-        if v or a:
-            return time_s
-        return self._starts[number + 1] if number + 1 < len(self._starts) else math.inf
+        _, _, v, a = self._phase(time_s)
+        return time_s if v or a else self._known_until_s
 
     def speed_bound(self, start_s: float, end_s: float) -> float:
         """The axis is never faster between these instants, as planned now."""
-        first, last = self.phase_number(start_s), self.phase_number(end_s)
-        fastest = abs(self.velocity(end_s))  # speed is linear within a phase: the ends decide
-        for number in range(first, last + 1):
-            fastest = max(fastest, abs(self._phases[number].velocity))
+        start, _, v, a = self._phase(start_s)
+        fastest = abs(v + a * (start_s - start))  # speed is linear within a phase: its ends decide
+        if end_s < self._known_until_s:
+            return max(fastest, abs(v + a * (end_s - start))) if a else fastest
+        fastest = max(fastest, abs(v + a * (self._known_until_s - start)))
+        for number in range(self.phase_number(start_s) + 1, self.phase_number(end_s) + 1):
+            start, _, v, a = self._phases[number]
+            until_s = self._starts[number + 1] if number + 1 < len(self._starts) else start
+            fastest = max(fastest, abs(v), abs(v + a * (min(until_s, end_s) - start)))
         return fastest

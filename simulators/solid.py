@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.errors import CellFileError
 from estimation.transform import FloatArray
+from simulators.kinematics import Triple
 from simulators.step_faces import StepFace
 from simulators.truth import FaceDeviation
 from simulators.world_file import FeatureSpec
@@ -16,9 +17,6 @@ from simulators.world_file import FeatureSpec
 ON_FACE_M: Final = 1e-4  # a feature's point is this near to its face
 NEIGHBOURHOOD_M: Final = 0.005
 FAR_M: Final = 0.01  # beyond this from the box of the part, the box is exact enough for a ball
-
-
-Triple = tuple[float, float, float]  # single points: plain floats are faster than arrays here
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +164,7 @@ class Solid:
         )  # two faces share each
         self._edges = self._near_edges = edges
         self._near_point: Triple = (math.inf, math.inf, math.inf)  # `_near_edges` serve around it
+        self._near_edge_m = 0.0  # to the nearest of them, from there
         self._lower = [float(x) for x in edges.min(axis=(0, 1))]
         self._upper = [float(x) for x in edges.max(axis=(0, 1))]
 
@@ -180,30 +179,37 @@ class Solid:
                 best = Hit(nearest_m, found[1], face.name)
         return best
 
-    def signed_distance(self, point: FloatArray) -> float:
-        """Of a point to the surface, outside positive; a lower bound where it is more than 10 mm away."""
-        p = _triple(point)
-        x, y, z = (
-            max(low - here, here - high, 0.0)
-            for low, here, high in zip(self._lower, p, self._upper, strict=True)
-        )
-        box_distance = math.sqrt(x * x + y * y + z * z)
-        if box_distance > FAR_M:
+    def signed_distance(self, point: Triple, enough_m: float = math.inf) -> float:
+        """Of a point to the surface, outside positive.
+
+        A lower bound where the point is more than 10 mm or `enough_m` away.
+        """
+        x, y, z = point
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = self._lower, self._upper
+        beside_x = max(low_x - x, x - high_x, 0.0)
+        beside_y = max(low_y - y, y - high_y, 0.0)
+        beside_z = max(low_z - z, z - high_z, 0.0)
+        box_distance = math.hypot(beside_x, beside_y, beside_z)
+        if box_distance > FAR_M or box_distance > enough_m:
             return box_distance
         best = math.inf
         for face in self._faces:
-            found = face.signed_distance(p, abs(best))
+            found = face.signed_distance(point, abs(best))
             if found is not None:
                 best = found
-        edge = self._edge_distance(p)
+        edge = self._edge_distance(point, abs(best))
         return edge if edge < abs(best) else best
 
-    def _edge_distance(self, point: Triple) -> float:
-        """To the nearest edge; at least FAR_M where there is none so near."""
-        if math.dist(point, self._near_point) > NEIGHBOURHOOD_M:  # a touch stays in one neighbourhood
+    def _edge_distance(self, point: Triple, nearest_m: float) -> float:
+        """To the nearest edge; at least `nearest_m` or FAR_M where there is none so near."""
+        moved_m = math.dist(point, self._near_point)
+        if moved_m > NEIGHBOURHOOD_M:  # a touch stays in one neighbourhood
             distances = _segment_distances(point, self._edges)
             self._near_edges = self._edges[distances < FAR_M + NEIGHBOURHOOD_M]
-            self._near_point = point
+            self._near_point, self._near_edge_m = point, float(distances.min())
+            return self._near_edge_m
+        if self._near_edge_m - moved_m >= nearest_m:
+            return nearest_m
         if not len(self._near_edges):
             return FAR_M
         return float(_segment_distances(point, self._near_edges).min())

@@ -84,6 +84,13 @@ class CanDevice(Protocol):
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
 
+    def peek(self) -> Frame | None:
+        """The next frame, if nothing else happens inside the device before it is on the bus."""
+
+    def pop(self) -> Frame:
+        """Take the frame that `peek` showed."""
+        raise NotImplementedError
+
 
 class _VirtualLink:
     """What both kinds of link share: being unplugged, and waiting."""

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from estimation.transform import FloatArray, exp_pose
-from simulators.kinematics import TrueArm
+from simulators.kinematics import Triple, TrueArm
 from simulators.solid import Hit, Solid
 from simulators.step_faces import read_faces
 from simulators.truth import Truth, stream
@@ -15,6 +15,7 @@ from simulators.world_file import WorldFile
 
 MOVING_SAMPLES: Final = 16  # of the distance, in a window during which the arm moves
 OUT_OF_SIGHT_M: Final = 10.0
+ENOUGH_M: Final = 1e-3  # an object so much farther away than another need not be measured exactly
 
 
 class Motion(Protocol):
@@ -56,7 +57,8 @@ class World:
         self._min_cosine = math.cos(file.laser.max_incidence_rad)
         self._point_noise = stream(truth.seed, "noise.laser.point")
         self._standstill: tuple[object, float] = (None, math.nan)
-        self._ball = truth.flange_T_probe[:3, 3]
+        ball_x, ball_y, ball_z = truth.flange_T_probe[:3, 3].tolist()
+        self._ball = (ball_x, ball_y, ball_z)
 
     def _place_spheres(self) -> list[tuple[str, list[float], float]]:
         t = self.truth
@@ -167,35 +169,45 @@ class World:
 
     def clearances_m(self, joints_rad: FloatArray) -> list[tuple[str, float]]:
         """Gap between the stylus ball and each object, negative when pressed in; surface by surface."""
-        pose = self.flange_pose(joints_rad)
-        return self.ball_clearances_m(pose[:3, :3] @ self._ball + pose[:3, 3])
+        return self.ball_clearances_m(self._kinematics.point(joints_rad, self._ball))
 
-    def ball_clearances_m(self, centre: FloatArray) -> list[tuple[str, float]]:
-        """The same, for the ball centre (3,) in base."""
+    def ball_clearances_m(self, centre: Triple) -> list[tuple[str, float]]:
+        """The same, for the ball centre in base; of the part only a lower bound where others are nearer."""
         radius = self.truth.probe_radius_m
-        point = centre.tolist()
-        gaps = [(name, math.dist(point, middle) - size - radius) for name, middle, size in self._spheres]
-        gaps.append(("plate", self._plate_distance(centre) - radius))
+        gaps = [(name, math.dist(centre, middle) - size - radius) for name, middle, size in self._spheres]
+        gaps.append(("plate", self._plate_distance(_moved(self._plate_T_base, centre)) - radius))
         if self._part_present:
-            matrix = self._part_T_base
-            gaps.append(
-                ("part", self._solid.signed_distance(matrix[:3, :3] @ centre + matrix[:3, 3]) - radius)
-            )
+            enough_m = min([gap for _, gap in gaps]) + radius + ENOUGH_M
+            part_p = _moved(self._part_T_base, centre)
+            gaps.append(("part", self._solid.signed_distance(part_p, enough_m) - radius))
         return gaps
 
-    def _plate_distance(self, centre: FloatArray) -> float:
-        matrix = self._plate_T_base
-        x, y, z = (matrix[:3, :3] @ centre + matrix[:3, 3]).tolist()
+    def _plate_distance(self, point: Triple) -> float:
+        x, y, z = point
         half = self.file.plate.thickness_m / 2
-        gaps = [abs(x) - self._half_plate[0], abs(y) - self._half_plate[1], abs(z + half) - half]
-        return math.hypot(*[max(gap, 0.0) for gap in gaps]) + float(min(max(gaps), 0.0))
+        beside_x, beside_y = abs(x) - self._half_plate[0], abs(y) - self._half_plate[1]
+        above = abs(z + half) - half
+        if beside_x <= 0 and beside_y <= 0:
+            return max(above, beside_x, beside_y) if above <= 0 else above
+        return math.sqrt(max(beside_x, 0.0) ** 2 + max(beside_y, 0.0) ** 2 + max(above, 0.0) ** 2)
 
     def ball_reaches_m(self) -> FloatArray:
         """How far (n,) the ball can be from each joint's axis: bounds its speed."""
-        tool = float(np.linalg.norm(self._ball))
+        tool = math.hypot(*self._ball)
         links = np.abs(self.truth.link_parameters[:, 1]) + np.abs(self.truth.link_parameters[:, 2])
         reaches: FloatArray = np.cumsum(links[::-1])[::-1] + tool
         return reaches
+
+
+def _moved(matrix: FloatArray, point: Triple) -> Triple:
+    """A single point, in plain floats, which are faster than arrays here."""
+    x, y, z = point
+    first, second, third, _ = matrix.tolist()
+    return (
+        first[0] * x + first[1] * y + first[2] * z + first[3],
+        second[0] * x + second[1] * y + second[2] * z + second[3],
+        third[0] * x + third[1] * y + third[2] * z + third[3],
+    )
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

@@ -40,8 +40,8 @@ class OneJoint:
     def rests_until(self, time_s: float) -> float:
         return self.axis.rests_until(time_s)
 
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> FloatArray:
-        return np.array([0, self.axis.speed_bound(start_s, end_s), 0, 0, 0, 0])
+    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> list[float]:
+        return [0, self.axis.speed_bound(start_s, end_s), 0, 0, 0, 0]
 
     def plans(self) -> int:
         return self.axis.plans
