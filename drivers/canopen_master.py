@@ -6,11 +6,13 @@ while nobody waits, and the keeper is not started.
 """
 
 import contextlib
+import functools
 import math
 import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from operator import and_, or_
 from typing import Final, NamedTuple
 
 from drivers import canopen_arm_codec as codec
@@ -78,6 +80,7 @@ class CanopenMaster:
         """Forget the nodes: after the link was opened."""
         joints = len(self.node_ids)
         self._status, self._counts = [0] * joints, [0] * joints
+        self._known_status, self._all_set, self._any_set = tuple[int, ...](), 0, 0
         self._nmt_state = [-1] * joints
         self._heard_s = [math.inf] * joints
         self._answered, self._awaiting, self._interrupted = 0, False, 0
@@ -318,12 +321,12 @@ class CanopenMaster:
         self._awaiting, self._missed = False, 0
         if self._interrupted:
             return
-        all_set, any_set = 0xFFFF, 0
-        for word in self._status:
-            all_set &= word
-            any_set |= word
         status, counts = tuple(self._status), tuple(self._counts)
-        self.samples.append(Sample(self._sync_number, self._sync_s, all_set, any_set, status, counts))
+        if status != self._known_status:
+            self._known_status = status
+            self._all_set, self._any_set = functools.reduce(and_, status), functools.reduce(or_, status)
+        sample = Sample(self._sync_number, self._sync_s, self._all_set, self._any_set, status, counts)
+        self.samples.append(sample)
         self._news += 1
 
     def _count_double(self, joint: int) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -70,14 +70,12 @@ class SimulatedArm:
     def _noise(self, sigma_counts: float) -> Callable[[], float]:
         """Noise of one joint's readings, drawn in blocks because one by one is slow."""
         rng = self._rng.spawn(1)[0]
-        block: list[float] = []
 
-        def draw() -> float:
-            if not block:
-                block.extend((rng.standard_normal(NOISE_BLOCK) * sigma_counts).tolist())
-            return block.pop()
+        def draws() -> Iterator[float]:
+            while True:
+                yield from (rng.standard_normal(NOISE_BLOCK) * sigma_counts).tolist()
 
-        return draw
+        return draws().__next__
 
     # -- bus -------------------------------------------------------------------------------------
 
@@ -125,6 +123,7 @@ class SimulatedArm:
         self.advance(time_s)
         if can_id == 0x080:
             self._sync(time_s)
+            return
         elif can_id in self._receivers:
             drive = self._receivers[can_id]
             if drive.receive(can_id, data, time_s):
@@ -147,11 +146,12 @@ class SimulatedArm:
         self._schedule()
 
     def _sync(self, time_s: float) -> None:
-        for drive in self.drives:
-            drive.sync_sample(time_s)
-        starting = [drive for drive in self.drives if drive.sync_apply()]
-        if starting:
-            self._start(starting)
+        waiting = [drive for drive in self.drives if drive.sync_sample(time_s)]
+        if waiting:
+            starting = [drive for drive in waiting if drive.sync_apply()]
+            if starting:
+                self._start(starting)
+            self._schedule()
 
     def _start(self, drives: list[Drive]) -> None:
         """Drives that start at one instant are one move: all of it is sped up, or none."""

@@ -61,7 +61,7 @@ class Drive:
         self.settings = settings
         self.motion = AxisMotion(position)
         self.run_permitted = True
-        self._noise, self._emit = noise, emit
+        self._noise, self._emit, self._step = noise, emit, settings.step_counts
         self._now_s = 0.0
         self._sdo = SdoServer(self._read, self._write)
         self._power_on()
@@ -90,7 +90,8 @@ class Drive:
         self._enable_s = self._heartbeat_s = self._sync_check_s = NEVER
         self._pending: dict[int, bytes] = {}
         self._configure_pdos()
-        self.next_event_s = NEVER
+        self.next_event_s = self._other_event_s = NEVER
+        self._word, self._word_until_s = 0, -math.inf  # 6041h, and how long it stays so
 
     def network(self, command: int, time_s: float) -> None:
         """An NMT command; ignored before boot-up."""
@@ -110,21 +111,27 @@ class Drive:
         """Let everything happen that is due by then, in order."""
         while self.next_event_s <= time_s:
             self._now_s = self.next_event_s
-            self._due()
-            self._reschedule()
+            if self._now_s < self._other_event_s:  # as nearly always: a heartbeat and nothing else
+                self._beat()
+                self.next_event_s = min(self._heartbeat_s, self._other_event_s)
+            else:
+                self._due()
+                self._reschedule()
         self._now_s = time_s
+
+    def _beat(self) -> None:
+        self._emit(self._now_s, 0x700 + self.settings.node, bytes((self.nmt,)))
+        self._heartbeat_s += int(self.values[0x1017, 0]) / 1000
 
     def _due(self) -> None:
         now = self._now_s
-        own_id = 0x700 + self.settings.node
         if now >= self._boot_s:
             self._boot_s, self.nmt = NEVER, Nmt.PRE_OPERATIONAL
-            self._emit(now, own_id, b"\x00")
+            self._emit(now, 0x700 + self.settings.node, b"\x00")
         if now >= self._enable_s:
             self._enable_s, self.state = NEVER, DriveState.OPERATION_ENABLED
         if now >= self._heartbeat_s:
-            self._heartbeat_s += int(self.values[0x1017, 0]) / 1000
-            self._emit(now, own_id, bytes([self.nmt]))
+            self._beat()
         if now >= self.motion.end_s:
             if self.state is DriveState.QUICK_STOP_ACTIVE:  # 605Ah is absent: the usual option, 2
                 self.state = DriveState.SWITCH_ON_DISABLED
@@ -149,16 +156,17 @@ class Drive:
 
     def _reschedule(self) -> None:
         ends = self.state in (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
-        self.next_event_s = min(
+        self._word_until_s = -math.inf
+        self._other_event_s = min(
             self._boot_s,
             self._enable_s,
-            self._heartbeat_s,
             self._sync_check_s,
             self._event_timer_s,
             max(self.motion.end_s, self._now_s) if ends else NEVER,
             max(self._positioner.buffered_start_s, self._now_s),
             *self._silent_s.values(),
         )
+        self.next_event_s = min(self._heartbeat_s, self._other_event_s)
 
     def _sync_timeout_s(self) -> float:
         period_s = int(self.values[0x1006, 0]) * 1e-6
@@ -173,6 +181,7 @@ class Drive:
         """Somebody else's heartbeat; watched if 1016h says so."""
         if node in self._consumed:
             deadline = self._silent_s[node] = time_s + self._consumed[node]
+            self._other_event_s = min(self._other_event_s, deadline)
             self.next_event_s = min(self.next_event_s, deadline)
 
     def request(self, data: bytes, time_s: float) -> bytes:
@@ -196,18 +205,20 @@ class Drive:
         self._pending[can_id] = data
         return pdo.kind not in SYNCHRONOUS and self._apply_pending(synchronous=False)
 
-    def sync_sample(self, time_s: float) -> None:
-        """SYNC, first half: send what is true now."""
+    def sync_sample(self, time_s: float) -> bool:
+        """SYNC, first half: send what is true now. True if the second half has something to do."""
         if self.nmt is not Nmt.OPERATIONAL:
-            return
+            return False
         self._now_s = self._last_sync_s = time_s
         for can_id, pack, reads in self._on_sync:
             self._emit(time_s, can_id, pack(*[read() for read in reads]))
+        return bool(self._pending) or self._mode == INTERPOLATED
 
     def sync_apply(self) -> bool:
         """SYNC, second half: take over the set-points received; True if a move waits to be started."""
         starts = bool(self._pending) and self._apply_pending(synchronous=True)
         if self._mode == INTERPOLATED and self._interpolating():
+            self._word_until_s = -math.inf
             if not self._positioner.interpolate(self._interpolation_s(), self._now_s):
                 self.fault(FOLLOWING_ERROR, 0x21)
             self._watch_sync()
@@ -225,6 +236,7 @@ class Drive:
                 controlled |= key == (0x6040, 0)
                 if key == (0x6060, 0) and value in MODES:
                     self._mode = value
+        self._word_until_s = -math.inf
         return controlled and self._control()
 
     def _configure_pdos(self) -> None:
@@ -273,7 +285,7 @@ class Drive:
         return lambda: self.values[key]  # type: ignore[return-value]  # texts are not mappable
 
     def _measured(self) -> int:
-        step = self.settings.step_counts
+        step = self._step
         return int(round((self.motion.position(self._now_s) + self._noise()) / step) * step)
 
     def _read(self, key: Key) -> Value:
@@ -306,8 +318,12 @@ class Drive:
 
     def statusword(self) -> int:
         """6041h now."""
-        word = self.state | 0x210  # voltage enabled, remote
-        return word | self._positioner.status_bits(self._mode, self._interpolating(), self._now_s)
+        now = self._now_s
+        if now >= self._word_until_s:  # it was not asked for since something happened
+            bits = self._positioner.status_bits(self._mode, self._interpolating(), now)
+            self._word = self.state | 0x210 | bits  # voltage enabled, remote
+            self._word_until_s = self.motion.end_s if self.motion.moving(now) else math.inf
+        return self._word
 
     def _interpolating(self) -> bool:
         active = self._mode == INTERPOLATED and self._controlword & 0x10
