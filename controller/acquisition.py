@@ -1,5 +1,6 @@
 """From a step of the plan to a sample: move, settle, read joints and sensor together."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,8 +19,9 @@ from estimation.kinematics import ArmModel
 from estimation.transform import FloatArray
 
 BACK_OFF_M = 3e-4  # how far the ball leaves the surface between the fast and the slow touch
-SLOW_TOUCHES = 8  # at most, when the polls of the probe come too far apart
-POLL_SLACK = 5.0  # a touch may be uncertain by so many poll periods: more is another noise than declared
+SLOW_TOUCHES = 4  # at most, when the polls of the probe come too far apart
+GOOD_POLLS = 5.0  # poll periods: a touch known so well needs no other
+WORST_POLLS = 25.0  # and one that is not even known so well does not count
 MINIMUM_CYCLES = 20  # laser cycles in one measurement
 
 
@@ -116,39 +118,57 @@ class Acquisition:
         if fast is None:
             robot.move_joints(start)
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="nothing touched")
-        contact = self._touch_slowly(start, target, fast)
+        touch = self._touch_slowly(start, target, fast)
         robot.move_joints(start)
-        if contact is None:
+        if touch is None:
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="second touch missed")
         if not probe.is_open():
             raise DeviceError(
                 "The probe stays tripped after the retreat", "Look at stylus and wiring, then Unhold"
             )
-        return self._sample(step, JointReadings(before.time_s, contact[None, :]))
+        contact, travel_m = touch
+        sample = self._sample(step, JointReadings(before.time_s, contact[None, :]))
+        return replace(sample, reading_scatter_m=travel_m)
 
-    def _touch_slowly(self, start: FloatArray, target: FloatArray, contact: FloatArray) -> FloatArray | None:
-        """Back off from a contact and touch again, until a poll of the probe was near enough to the touch."""
+    def _touch_slowly(
+        self, start: FloatArray, target: FloatArray, found: FloatArray
+    ) -> tuple[FloatArray, float] | None:
+        """Back off from a contact and touch again, until two polls were near enough to each other.
+
+        Returns joints (n,) in the middle of the way that the ball went between the polls, and that way (m).
+        """
         robot, probe, spec = self._devices.robot, self._devices.probe, self._cell.probe
+        path_m = self._path_m(start, target)
         late_m = spec.search_speed_m_s * probe.poll_uncertainty_s  # so far in when it was noticed
-        share = min(1.0, (BACK_OFF_M + late_m) / self._path_m(start, target))
-        limit_s = POLL_SLACK * spec.poll_period_s
+        share = (BACK_OFF_M + late_m) / path_m
+        best_s, best = math.inf, found
         for _ in range(SLOW_TOUCHES):
-            robot.move_joints(contact + share * (start - target))
-            if not probe.is_open():
-                raise DeviceError(
-                    "The probe stays tripped after backing off", "Look at stylus and wiring, then Unhold"
-                )
+            robot.move_joints(found + (start - target) * min(1.0, share))
+            while not probe.is_open():  # the ball was deeper than its link let us know
+                if share >= 1.0:
+                    raise DeviceError(
+                        "The probe stays tripped after backing off", "Look at stylus and wiring, then Unhold"
+                    )
+                share *= 2.0
+                robot.move_joints(found + (start - target) * min(1.0, share))
             probe.arm()
-            slow = robot.move_until_contact(
+            contact = robot.move_until_contact(
                 target, self._joint_speed(start, target, spec.touch_speed_m_s), probe
             )
-            if slow is None or probe.poll_uncertainty_s <= limit_s:
-                return slow
-        raise DeviceError(
-            f"{SLOW_TOUCHES} touches in a row known to {probe.poll_uncertainty_s * 1e3:.0f} ms only, "
-            f"limit {limit_s * 1e3:.0f} ms",
-            "Check the network and the load of the computer, then Unhold",
-        )
+            if contact is None:
+                return None
+            if probe.poll_uncertainty_s < best_s:
+                best_s, best = probe.poll_uncertainty_s, contact
+            if best_s <= GOOD_POLLS * spec.poll_period_s:
+                break
+        if best_s > WORST_POLLS * spec.poll_period_s:
+            raise DeviceError(
+                f"{SLOW_TOUCHES} touches known to {best_s * 1e3:.0f} ms at best, "
+                f"limit {WORST_POLLS * spec.poll_period_s * 1e3:.0f} ms",
+                "Check the network and the load of the computer, then Unhold",
+            )
+        travel_m = spec.touch_speed_m_s * best_s
+        return best + (start - target) * (travel_m / 2.0 / path_m), travel_m
 
     def _path_m(self, start: FloatArray, target: FloatArray) -> float:
         offset = self._cell.probe.mount.transform().origin_m

@@ -201,8 +201,9 @@ def _batch(
     else:
         reading = np.zeros(count)
         variance = variance * TOUCH_VARIANCE
-        travel_m = cell.probe.touch_speed_m_s * cell.probe.poll_period_s
-        reading_variance = np.full(count, cell.probe.noise_m**2 + travel_m**2 / 12)
+        declared_m = cell.probe.touch_speed_m_s * cell.probe.poll_period_s
+        travel_m = np.array([max(declared_m, sample.reading_scatter_m) for sample in samples])
+        reading_variance = cell.probe.noise_m**2 + travel_m**2 / 12
     flatness_m = cell.plate.flatness_u_m if name == "plate" else 0.0
     return Observations(
         sensor=sensor,

@@ -18,7 +18,7 @@ class Sample:
     joint_scatter_rad: tuple[float, ...]  # standard deviation of one reading, each joint
     joint_readings: int
     reading_m: float  # laser: mean distance; touch: 0; nan is never stored, see quality
-    reading_scatter_m: float
+    reading_scatter_m: float  # laser: of one cycle; touch: way of the ball between the polls that saw it
     readings: int
     quality: str
     why: str  # why the quality is not good, in words
