@@ -67,7 +67,7 @@ class CellServer:
         self._silent_until_s = dict.fromkeys(DEVICES, -math.inf)
         self._dongle = SlcanDongle()
         self._clients: dict[socket.socket, ModbusConnection] = {}
-        self._selector = selectors.DefaultSelector()
+        self._selector = selectors.SelectSelector()  # to the microsecond; epoll waits whole milliseconds
         self._control_path = run_dir / "simulator.sock"
         self._control_path.unlink(missing_ok=True)
         self._control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
