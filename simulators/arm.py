@@ -102,15 +102,15 @@ class SimulatedArm:
     def _schedule(self) -> None:
         self._next_event_s = min([drive.next_event_s for drive in self.drives])
 
-    def peek(self) -> Frame | None:
-        """The next frame, if nothing else happens inside the arm before it is on the bus."""
-        if self._output and self._output[0].time_s < self._next_event_s:
-            return self._output[0]
-        return None
-
-    def pop(self) -> Frame:
-        """Take the frame that `peek` showed."""
-        return self._output.popleft()
+    def next_frame(self, until_s: float) -> Frame | None:
+        """The next frame that is on the bus by then, if any; everything before it has happened."""
+        output = self._output
+        while True:
+            if output and output[0].time_s < self._next_event_s:
+                return output.popleft() if output[0].time_s <= until_s else None
+            if self._next_event_s > until_s:
+                return None
+            self.advance(self._next_event_s)
 
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
@@ -198,13 +198,10 @@ class SimulatedArm:
             return None
         return tuple([drive.motion.phase_number(time_s) for drive in self.drives])
 
-    def rests_until(self, time_s: float) -> float:
-        """When the arm's standstill of that instant ends, as known now; the instant itself while it moves."""
-        return min([motion.rests_until(time_s) for motion in self._motions])
-
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> list[float]:
-        """No joint is faster between these instants, as planned now."""
-        return [motion.speed_bound(start_s, end_s) * COUNT_RAD for motion in self._motions]
+    def course(self, time_s: float) -> tuple[list[float], list[float], float]:
+        """Speeds and accelerations (n,) then, rad/s and rad/s^2; until when the latter hold, as known now."""
+        speeds, accelerations, ends = zip(*[motion.course(time_s) for motion in self._motions], strict=True)
+        return [v * COUNT_RAD for v in speeds], [a * COUNT_RAD for a in accelerations], min(ends)
 
     def plans(self) -> int:
         """Changes whenever the plan of any joint does."""

@@ -12,10 +12,9 @@ from simulators.truth import stream
 from simulators.world import World
 
 SHORTEST_STEP_S: Final = 2e-3  # nobody touches and lets go within; the instant itself is found by bisection
-LONGEST_STEP_S: Final = (
-    0.1  # the motion looked ahead; a slow touch must not be paced by the fast move after it
-)
+LONGEST_STEP_S: Final = 0.3
 REARM_M: Final = 1e-4  # away from the surface, the next contact has a scatter of its own
+MOMENT_S: Final = 1e-4  # in which the present speed of the ball is found
 CONTACT_TIME_S: Final = 1e-6  # to which an instant of contact is found
 
 
@@ -28,11 +27,8 @@ class MovingArm(Protocol):
     def joints_at(self, time_s: float) -> FloatArray:
         """True joint angles (n,) at a past instant, rad."""
 
-    def rests_until(self, time_s: float) -> float:
-        """When the standstill that holds then ends; that instant itself if there is none."""
-
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> Sequence[float]:
-        """No joint is faster between these instants, as planned now."""
+    def course(self, time_s: float) -> tuple[Sequence[float], Sequence[float], float]:
+        """Speeds and accelerations (n,) of the joints then, rad/s and rad/s^2; until when the latter hold."""
 
     def plans(self) -> int:
         """Changes whenever the planned motion does."""
@@ -90,28 +86,34 @@ class StylusContact:
             return
         self._plans = plans
         while True:
-            following = self._next_look()
-            if following > time_s:
-                self._safe_s = following
+            self._safe_s = self._unchanged_until_s()
+            if self._safe_s > time_s or self._time_s >= time_s:
                 return
-            self._look(following)
+            self._look(min(max(self._safe_s, self._time_s + SHORTEST_STEP_S), time_s))
 
-    def _next_look(self) -> float:
+    def _unchanged_until_s(self) -> float:
         """The contact cannot change before."""
-        bound = self._speed_bound_m_s()
-        if not bound:  # at rest, and perhaps for long
-            resting_until = self._arm.rests_until(self._time_s)
-            if math.isinf(resting_until):
+        speeds, accelerations, until_s = self._arm.course(self._time_s)
+        if not any(speeds) and not any(accelerations):
+            if math.isinf(until_s):
                 return math.inf
-            self._time_s = resting_until
-            bound = self._speed_bound_m_s()
+            self._time_s = until_s
+            speeds, accelerations, until_s = self._arm.course(until_s)
         missing = self._world.file.probe.release_m - self._gap_m if self.closed else self._gap_m
-        step_s = missing / bound if bound else LONGEST_STEP_S
-        return self._time_s + min(max(step_s, SHORTEST_STEP_S), LONGEST_STEP_S)
+        way_s = self._time_of_way_s(missing, speeds, accelerations)
+        return min(self._time_s + min(way_s, LONGEST_STEP_S), until_s)
 
-    def _speed_bound_m_s(self) -> float:
-        speeds = self._arm.speed_bounds_rad_s(self._time_s, self._time_s + LONGEST_STEP_S)
-        return sum([speed * reach for speed, reach in zip(speeds, self._reaches, strict=True)])
+    def _time_of_way_s(self, way_m: float, speeds: Sequence[float], accelerations: Sequence[float]) -> float:
+        """So long at least the ball needs for a way, from where it is and at these accelerations."""
+        if way_m <= 0:
+            return 0.0
+        turning = sum([abs(w) + abs(a) * LONGEST_STEP_S for w, a in zip(speeds, accelerations, strict=True)])
+        bend = turning**2 * self._reaches[0]  # it goes round the axes
+        change = bend + sum([abs(a) * reach for a, reach in zip(accelerations, self._reaches, strict=True)])
+        joints = self._arm.joints_at(self._time_s)
+        here, there = self._world.ball(joints), self._world.ball(joints + MOMENT_S * np.array(speeds))
+        speed = math.dist(here, there) / MOMENT_S + bend * MOMENT_S / 2
+        return 2 * way_m / (speed + math.sqrt(speed**2 + 2 * change * way_m) + 1e-12)
 
     def _look(self, time_s: float) -> None:
         before_s, self._time_s = self._time_s, time_s
@@ -134,9 +136,3 @@ class StylusContact:
             middle = (open_s + closed_s) / 2
             open_s, closed_s = (open_s, middle) if self._gap(middle)[0] <= 0 else (middle, closed_s)
         return closed_s
-
-
-def ball_in_base(world: World, joints_rad: FloatArray) -> FloatArray:
-    """True ball centre (3,) in base, metres."""
-    pose = world.flange_pose(joints_rad)
-    return np.asarray(pose[:3, :3] @ world.truth.flange_T_probe[:3, 3] + pose[:3, 3])

@@ -124,20 +124,7 @@ class AxisMotion:
     def moving(self, time_s: float) -> bool:
         return time_s < self.end_s
 
-    def rests_until(self, time_s: float) -> float:
-        """When the standstill that holds at `time_s` ends; that instant itself while it moves."""
-        _, _, v, a = self._phase(time_s)
-        return time_s if v or a else self._known_until_s
-
-    def speed_bound(self, start_s: float, end_s: float) -> float:
-        """The axis is never faster between these instants, as planned now."""
-        start, _, v, a = self._phase(start_s)
-        fastest = abs(v + a * (start_s - start))  # speed is linear within a phase: its ends decide
-        if end_s < self._known_until_s:
-            return max(fastest, abs(v + a * (end_s - start))) if a else fastest
-        fastest = max(fastest, abs(v + a * (self._known_until_s - start)))
-        for number in range(self.phase_number(start_s) + 1, self.phase_number(end_s) + 1):
-            start, _, v, a = self._phases[number]
-            until_s = self._starts[number + 1] if number + 1 < len(self._starts) else start
-            fastest = max(fastest, abs(v), abs(v + a * (min(until_s, end_s) - start)))
-        return fastest
+    def course(self, time_s: float) -> tuple[float, float, float]:
+        """Velocity and acceleration at an instant, and until when the latter holds, as planned now."""
+        start, _, v, a = self._phase(time_s)
+        return v + a * (time_s - start), a, self._known_until_s

@@ -36,7 +36,8 @@ class VirtualClock:
 
     def advance_to(self, time_s: float) -> None:
         """Let time pass until then, if that is in the future."""
-        self._now_s = max(self._now_s, time_s)
+        if time_s > self._now_s:
+            self._now_s = time_s
 
 
 @dataclass(slots=True)
@@ -84,12 +85,8 @@ class CanDevice(Protocol):
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
 
-    def peek(self) -> Frame | None:
-        """The next frame, if nothing else happens inside the device before it is on the bus."""
-
-    def pop(self) -> Frame:
-        """Take the frame that `peek` showed."""
-        raise NotImplementedError
+    def next_frame(self, until_s: float) -> Frame | None:
+        """The next frame that is on the bus by then, if any; everything before it has happened."""
 
 
 class _VirtualLink:
@@ -145,15 +142,14 @@ class VirtualCanLink(_VirtualLink):
 
     def receive(self, timeout_s: float) -> Frame | None:
         clock, arm, faults = self._clock, self._arm, self.faults
-        frame = arm.peek()
-        if frame is not None and not (faults.unplugged or faults.late_s):
-            # As for nearly every frame of a job: it is the next thing to happen, and nothing is broken.
-            time_s, now = frame.time_s, clock.now_s()
-            if time_s <= now + timeout_s and time_s < faults.unplug_at_s and time_s < faults.silent_from_s:
-                if time_s > now:
-                    clock.advance_to(time_s)
-                return arm.pop()
-        deadline_s = self._check_plugged() + timeout_s
+        now = clock.now_s()
+        deadline_s = now + timeout_s
+        healthy_until_s = min(faults.unplug_at_s, faults.silent_from_s)
+        if deadline_s < healthy_until_s and not (faults.unplugged or faults.late_s):
+            frame = arm.next_frame(deadline_s)  # as nearly always: nothing is broken
+            clock.advance_to(deadline_s if frame is None else frame.time_s)
+            return frame
+        self._check_plugged()
         while True:
             output_s = arm.next_output_s()
             if not self._wait(output_s, deadline_s):

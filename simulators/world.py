@@ -169,7 +169,11 @@ class World:
 
     def clearances_m(self, joints_rad: FloatArray) -> list[tuple[str, float]]:
         """Gap between the stylus ball and each object, negative when pressed in; surface by surface."""
-        return self.ball_clearances_m(self._kinematics.point(joints_rad, self._ball))
+        return self.ball_clearances_m(self.ball(joints_rad))
+
+    def ball(self, joints_rad: FloatArray) -> Triple:
+        """True centre of the stylus ball in base."""
+        return self._kinematics.point(joints_rad, self._ball)
 
     def ball_clearances_m(self, centre: Triple) -> list[tuple[str, float]]:
         """The same, for the ball centre in base; of the part only a lower bound where others are nearer."""

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.transform import FloatArray
-from simulators.contact import StylusContact, ball_in_base
+from simulators.contact import StylusContact
 from simulators.profile import AxisMotion, Phase
 from simulators.truth import Truth
 from simulators.world import World
@@ -37,11 +37,9 @@ class OneJoint:
     def standstill(self, time_s: float) -> tuple[int, ...] | None:
         return None
 
-    def rests_until(self, time_s: float) -> float:
-        return self.axis.rests_until(time_s)
-
-    def speed_bounds_rad_s(self, start_s: float, end_s: float) -> list[float]:
-        return [0, self.axis.speed_bound(start_s, end_s), 0, 0, 0, 0]
+    def course(self, time_s: float) -> tuple[list[float], list[float], float]:
+        speed, _, until_s = self.axis.course(time_s)
+        return [0, speed, 0, 0, 0, 0], [0.0] * 6, until_s
 
     def plans(self) -> int:
         return self.axis.plans
@@ -51,7 +49,7 @@ def scene(world_file: WorldFile, nominal: Truth, sweeps: int) -> tuple[StylusCon
     """The plate lies across the way of the ball, and is thicker than the ball goes in."""
     arm = OneJoint(world_file.arm.start_joints_rad, sweeps)
     world = World(world_file, nominal, arm, noise_factor=0.0)
-    here, there = (ball_in_base(world, arm.joints_at(t)) for t in (1.0, 1.0 + arm.turn_s))
+    here, there = (np.array(world.ball(arm.joints_at(t))) for t in (1.0, 1.0 + arm.turn_s))
     way = (there - here) / np.linalg.norm(there - here)
     across = np.linalg.svd(way[None])[2]
     plate = np.eye(4)
@@ -112,7 +110,7 @@ def test_contacts_scatter_along_the_normal(world_file: WorldFile, nominal: Truth
     assert contact.count == sweeps // 2
     starts = 1 + 2 * arm.turn_s * np.arange(sweeps // 2)
     late_s = np.array([touch.time_s for touch in contact.touches]) - starts
-    here, there = (ball_in_base(world, arm.joints_at(t)) for t in (1.5, 1.501))
+    here, there = (np.array(world.ball(arm.joints_at(t))) for t in (1.5, 1.501))
     speed = float(np.linalg.norm(there - here)) / 0.001
     sigma = np.hypot(world_file.probe.noise_m, world_file.plate.flatness_m)
     assert np.std(late_s) * speed == pytest.approx(sigma, rel=0.25)
@@ -122,7 +120,7 @@ def test_contacts_scatter_along_the_normal(world_file: WorldFile, nominal: Truth
 def test_a_part_that_is_taken_away_no_longer_presses(world_file: WorldFile, nominal: Truth) -> None:
     arm = OneJoint(world_file.arm.start_joints_rad, 0)
     world = World(world_file, nominal, arm)
-    ball = ball_in_base(world, arm.start)
+    ball = np.array(world.ball(arm.start))
     part = np.eye(4)
     part[:3, 3] = ball - (0.05, 0.02, 0.1005)
     world._part_T_base = np.linalg.inv(part)

@@ -52,6 +52,7 @@ def test_the_past_stays_when_the_plan_changes() -> None:
     axis.follow(plan_stop(2.0, axis.position(2.0), axis.velocity(2.0), 1000.0))
     assert [axis.position(t) for t in times] == before
     assert axis.end_s == pytest.approx(2.01)
-    assert axis.rests_until(-1.0) == 0.0 and axis.rests_until(1.0) == 1.0
-    assert axis.rests_until(5.0) == np.inf
-    assert axis.speed_bound(0.5, 5.0) == pytest.approx(10.0) and axis.speed_bound(5.0, 6.0) == 0.0
+    assert axis.course(-1.0) == (0.0, 0.0, 0.0)
+    assert axis.course(1.0) == pytest.approx((10.0, 0.0, 2.0))
+    assert axis.course(2.005) == pytest.approx((5.0, -1000.0, 2.01))
+    assert axis.course(5.0) == (0.0, 0.0, np.inf)
