@@ -12,7 +12,7 @@ from controller.planning.paths import accesses
 from controller.planning.steps import Joints, Step, route
 from controller.planning.workspace import Workspace
 from controller.samples import Sample
-from drivers.capabilities import Devices, JointReadings, Quality, RangeReadings
+from drivers.capabilities import Contact, Devices, JointReadings, Quality, RangeReadings
 from drivers.clock import Clock
 from estimation.errors import DeviceError
 from estimation.kinematics import ArmModel
@@ -118,7 +118,7 @@ class Acquisition:
         if fast is None:
             robot.move_joints(start)
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="nothing touched")
-        touch = self._touch_slowly(start, target, fast)
+        touch = self._touch_slowly(start, target, fast.joints_rad)
         robot.move_joints(start)
         if touch is None:
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="second touch missed")
@@ -127,21 +127,21 @@ class Acquisition:
                 "The probe stays tripped after the retreat", "Look at stylus and wiring, then Unhold"
             )
         contact, travel_m = touch
-        sample = self._sample(step, JointReadings(before.time_s, contact[None, :]))
-        return replace(sample, reading_scatter_m=travel_m)
+        sample = self._sample(step, JointReadings(before.time_s, contact.joints_rad[None, :]))
+        return replace(sample, joint_readings=contact.readings, reading_scatter_m=travel_m)
 
     def _touch_slowly(
         self, start: FloatArray, target: FloatArray, found: FloatArray
-    ) -> tuple[FloatArray, float] | None:
+    ) -> tuple[Contact, float] | None:
         """Back off from a contact and touch again, until two polls were near enough to each other.
 
-        Returns joints (n,) in the middle of the way that the ball went between the polls, and that way (m).
+        Returns the joints in the middle of the way that the ball went between the polls, and that way (m).
         """
         robot, probe, spec = self._devices.robot, self._devices.probe, self._cell.probe
         path_m = self._path_m(start, target)
         late_m = spec.search_speed_m_s * probe.poll_uncertainty_s  # so far in when it was noticed
         share = (BACK_OFF_M + late_m) / path_m
-        best_s, best = math.inf, found
+        best_s, best = math.inf, Contact(found, 1.0)
         for _ in range(SLOW_TOUCHES):
             robot.move_joints(found + (start - target) * min(1.0, share))
             while not probe.is_open():  # the ball was deeper than its link let us know
@@ -168,7 +168,8 @@ class Acquisition:
                 "Check the network and the load of the computer, then Unhold",
             )
         travel_m = spec.touch_speed_m_s * best_s
-        return best + (start - target) * (travel_m / 2.0 / path_m), travel_m
+        middle = best.joints_rad + (start - target) * (travel_m / 2.0 / path_m)
+        return Contact(middle, best.readings), travel_m
 
     def _path_m(self, start: FloatArray, target: FloatArray) -> float:
         offset = self._cell.probe.mount.transform().origin_m

@@ -20,7 +20,6 @@ LASER_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the beam change
 PLANE_FREEDOMS = ("tz", "rx", "ry")
 BAR_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the line of centres changes nothing
 POINT_FREEDOMS = ("tx", "ty", "tz")
-TOUCH_VARIANCE = 2 / 3  # of joints interpolated between two readings: mean of p^2 + (1 - p)^2
 INSPECTED_U_M = 1e-3  # prior of an inspected size or place: wide, so that no wish enters the verdict
 
 
@@ -171,7 +170,7 @@ def part_corners_m(cell: Cell) -> FloatArray:
     )
 
 
-def joint_variance(cell: Cell, readings: int) -> float:
+def joint_variance(cell: Cell, readings: float) -> float:
     """Variance (rad^2) of a mean of `readings` joint readings: noise and the step of the encoder."""
     robot = cell.robot
     return (robot.joint_noise_rad**2 + robot.encoder_step_rad**2 / 12) / max(readings, 1)
@@ -200,7 +199,6 @@ def _batch(
         reading_variance = cell.laser.noise_m**2 + cell.laser.reading_noise_m**2 / cycles
     else:
         reading = np.zeros(count)
-        variance = variance * TOUCH_VARIANCE
         declared_m = cell.probe.touch_speed_m_s * cell.probe.poll_period_s
         travel_m = np.array([max(declared_m, sample.reading_scatter_m) for sample in samples])
         reading_variance = cell.probe.noise_m**2 + travel_m**2 / 12

@@ -16,7 +16,7 @@ class Sample:
     feature: str  # of that object
     joints_rad: tuple[float, ...]  # mean over the readings
     joint_scatter_rad: tuple[float, ...]  # standard deviation of one reading, each joint
-    joint_readings: int
+    joint_readings: float  # averaged; of a touch, as noisy as so many
     reading_m: float  # laser: mean distance; touch: 0; nan is never stored, see quality
     reading_scatter_m: float  # laser: of one cycle; touch: way of the ball between the polls that saw it
     readings: int

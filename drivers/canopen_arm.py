@@ -16,7 +16,7 @@ from drivers import canopen_arm_codec as codec
 from drivers.canopen_arm_setup import ArmConfig, ArmSetup
 from drivers.canopen_arm_units import JointUnits
 from drivers.canopen_master import CanopenMaster, Sample
-from drivers.capabilities import Identity, JointReadings, LinkHealth, TouchProbe
+from drivers.capabilities import Contact, Identity, JointReadings, LinkHealth, TouchProbe
 from drivers.clock import Clock
 from drivers.links import CanLink
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
@@ -137,8 +137,8 @@ class CanopenArm:
 
     def move_until_contact(
         self, target_rad: FloatArray, speed_rad_s: float, probe: TouchProbe
-    ) -> FloatArray | None:
-        """Move towards the target until the probe trips; joints (joints,) at the contact.
+    ) -> Contact | None:
+        """Move towards the target until the probe trips; the joints at the contact.
 
         The joints are interpolated between the SYNC samples around the time of contact. None if the target
         was reached without contact. At rest on return. Raises as `move_joints`, and what the probe raises.
@@ -168,9 +168,9 @@ class CanopenArm:
             self._master.hurry()
             while self._motion_sample().time_s < touched_s:
                 pass
-            joints_rad = self._units.joints_at(touched_s, list(self._master.samples))
+            contact = self._units.contact_at(touched_s, list(self._master.samples))
             self._halt_and_wait()
-            return joints_rad
+            return contact
 
     def read_joints(self, count: int) -> JointReadings:
         """`count` consecutive samples, of SYNCs sent after the call; stamped with the time of the SYNC."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.canopen_arm_setup import ArmConfig
 from drivers.canopen_master import Sample
+from drivers.capabilities import Contact
 from drivers.motion_profile import synchronize
 from estimation.errors import DeviceError
 from estimation.transform import FloatArray
@@ -57,14 +58,18 @@ class JointUnits:
         acceleration = [max(1, math.ceil(a * self._counts_per_rad)) for a in move.acceleration]
         return velocity, acceleration, move.duration_s
 
-    def joints_at(self, time_s: float, samples: Sequence[Sample]) -> FloatArray:
-        """Joints (joints,) rad, on the line between the samples before and after an instant."""
+    def contact_at(self, time_s: float, samples: Sequence[Sample]) -> Contact:
+        """The joints on the line between the samples before and after an instant.
+
+        The variance of their mean is (1 - p)^2 + p^2 of one reading, p being the share of the later sample.
+        """
         after = next((i for i, s in enumerate(samples) if s.time_s >= time_s), len(samples) - 1)
         late, early = samples[after], samples[max(after - 1, 0)]
         span_s = late.time_s - early.time_s
         part = min(max((time_s - early.time_s) / span_s, 0.0), 1.0) if span_s > 0.0 else 1.0
         counts = (1.0 - part) * np.array(early.counts) + part * np.array(late.counts)
-        return np.asarray(counts / self._counts_per_rad, dtype=np.float64)
+        readings = 1.0 / ((1.0 - part) ** 2 + part**2)
+        return Contact(np.asarray(counts / self._counts_per_rad, dtype=np.float64), readings)
 
     def not_at_target(self, counts: Sequence[int], target: Sequence[int]) -> DeviceError:
         """The error of a move that ended elsewhere, by its worst joint."""

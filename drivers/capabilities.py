@@ -64,6 +64,14 @@ class JointReadings:
     joints_rad: FloatArray  # (n, joints)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """Where the joints were when the probe first touched."""
+
+    joints_rad: FloatArray  # (joints,)
+    readings: float  # how many readings averaged would be as noisy: 1 to 2 where two were interpolated
+
+
 class Robot(Device, Protocol):
     """A jointed arm."""
 
@@ -78,8 +86,8 @@ class Robot(Device, Protocol):
 
     def move_until_contact(
         self, target_rad: FloatArray, speed_rad_s: float, probe: "TouchProbe"
-    ) -> FloatArray | None:
-        """Move towards the target until the probe trips; joints (joints,) at the first contact.
+    ) -> Contact | None:
+        """Move towards the target until the probe trips; the joints at the first contact.
 
         None if the target was reached without contact. `speed_rad_s` is of the fastest joint.
         The arm is at rest on return. Raises as `move_joints`.

@@ -146,12 +146,12 @@ def test_a_touch_gives_the_joints_at_contact(rig: Rig) -> None:
     assert probe.is_open()
     probe.arm()
     speed_rad_s = 0.001 * float(np.abs(end - start).max()) / 0.014  # 1 mm/s
-    joints = robot.move_until_contact(end, speed_rad_s, probe)
-    assert joints is not None
+    contact = robot.move_until_contact(end, speed_rad_s, probe)
+    assert contact is not None and 1.0 <= contact.readings <= 2.0
     (touch,) = rig.world.contact.touches
     assert touch.surface == "plate"
     limit = speed_rad_s * probe.poll_uncertainty_s + 8 * COUNT_RAD
-    assert joints == pytest.approx(rig.world.arm.joints_at(touch.time_s), abs=limit)
+    assert contact.joints_rad == pytest.approx(rig.world.arm.joints_at(touch.time_s), abs=limit)
     assert robot.is_at_rest()
     assert rig.world.contact.deepest_m < 1e-4
     with pytest.raises(DeviceError, match="tripped before the approach"):

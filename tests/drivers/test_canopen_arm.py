@@ -101,12 +101,14 @@ def test_the_joints_at_contact_are_those_of_the_contact_and_not_of_the_stop() ->
     speed = 2.0 * DEG
     probe = Probe(clock, contact_s=clock.time_s + 0.5)
     started = np.zeros(6)
-    joints = arm.move_until_contact(np.array([5.0, 0, 0, 0, 0, 0]) * DEG, speed, probe)
-    assert joints is not None
+    contact = arm.move_until_contact(np.array([5.0, 0, 0, 0, 0, 0]) * DEG, speed, probe)
+    assert contact is not None and 1.0 <= contact.readings <= 2.0
     moving_from_s = (
         next(s.time_s for s in arm._master.samples if s.counts[0] > 0 and s.time_s > 100) - 0.02
     )  # drives start at the SYNC before the first moved sample
-    assert joints[0] - started[0] == pytest.approx(speed * (probe.contact_s - moving_from_s), abs=0.002 * DEG)
+    assert contact.joints_rad[0] - started[0] == pytest.approx(
+        speed * (probe.contact_s - moving_from_s), abs=0.002 * DEG
+    )
     assert arm.is_at_rest()
     assert link.drives[3].position < 2_000  # came to rest soon after
 
