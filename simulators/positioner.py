@@ -55,7 +55,7 @@ class Positioner:
         starts = False
         if word & 0x100 and not self._halted:
             self._halted, self._buffered = True, None
-            self.stop(float(self._values[0x6083, 0]) * self._factor**2, time_s)
+            self.stop(float(self._values[0x6083, 0]), time_s)
         elif self._halted and not word & 0x100:
             self._halted = False
             starts = True  # CiA 402: the interrupted positioning goes on
@@ -105,9 +105,9 @@ class Positioner:
         return True
 
     def stop(self, deceleration: float, time_s: float) -> None:
-        """Come to rest; forgets a set-point that waits."""
+        """Come to rest, in a move that was sped up as much sooner; forgets a set-point that waits."""
         self._buffered = None
         motion = self._motion
         if motion.moving(time_s):
             position, velocity = motion.position(time_s), motion.velocity(time_s)
-            motion.follow(plan_stop(time_s, position, velocity, max(deceleration, 1.0)))
+            motion.follow(plan_stop(time_s, position, velocity, max(deceleration, 1.0) * self._factor**2))
