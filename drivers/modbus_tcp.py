@@ -4,6 +4,7 @@ After a timeout a late reply is on its way: the link stays silent, drains, and o
 are matched by transaction number, unit, function and length.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -63,8 +64,11 @@ class ModbusTcp:
         self._link, self._clock, self._name, self._unit = link, clock, name, unit
         self._reply_timeout_s, self._tries, self._silence_s = reply_timeout_s, tries, silence_s
         self._on_resync = on_resync
-        self._decoder = DecodePDU(is_server=False)
-        self._framer = FramerSocket(self._decoder)
+        decoder = DecodePDU(is_server=False)
+        self._framer = FramerSocket(decoder)
+        # A touch asks the same thing hundreds of times, and is told the same until it is one.
+        self._decode = functools.lru_cache(maxsize=16)(decoder.decode)
+        self._requests: dict[tuple[type[ModbusPDU], int, int], Any] = {}
         self._transactions = itertools.cycle(range(1, 0x10000))
         self._received = b""
         self._out_of_step = False
@@ -77,18 +81,25 @@ class ModbusTcp:
 
     def read_inputs(self, address: int, count: int) -> list[bool]:
         """FC 2, discrete inputs from a 0-based address."""
-        reply = self._ask(ReadDiscreteInputsRequest(address=address, count=count), 1 + (count + 7) // 8)
+        request = self._request(ReadDiscreteInputsRequest, address, count)
+        reply = self._ask(request, 1 + (count + 7) // 8)
         return [bool(bit) for bit in reply.bits[:count]]
 
     def read_input_registers(self, address: int, count: int) -> list[int]:
         """FC 4, input registers from a 0-based address."""
-        request = ReadInputRegistersRequest(address=address, count=count)
+        request = self._request(ReadInputRegistersRequest, address, count)
         return list(self._ask(request, 1 + 2 * count).registers)
 
     def read_holding_registers(self, address: int, count: int, tries: int | None = None) -> list[int]:
         """FC 3, holding registers from a 0-based address."""
-        request = ReadHoldingRegistersRequest(address=address, count=count)
+        request = self._request(ReadHoldingRegistersRequest, address, count)
         return list(self._ask(request, 1 + 2 * count, tries).registers)
+
+    def _request(self, kind: type[ModbusPDU], address: int, count: int) -> Any:
+        key = kind, address, count
+        if key not in self._requests:
+            self._requests[key] = kind(address=address, count=count)
+        return self._requests[key]
 
     def _ask(self, request: Any, payload_bytes: int, tries: int | None = None) -> ModbusPDU:
         """One answered request. Raises DeviceTimeout, FrameError, ModbusRefusal."""
@@ -173,7 +184,7 @@ class ModbusTcp:
             problem = f"{self._name}: reply to function {pdu[0] & 0x7F} while asking {function}"
         elif pdu[0] == function and (len(pdu) != 1 + payload_bytes or pdu[1] != payload_bytes - 1):
             problem = f"{self._name}: reply of {len(pdu)} bytes instead of {1 + payload_bytes}"
-        elif (reply := self._decoder.decode(pdu)) is None:
+        elif (reply := self._decode(pdu)) is None:
             problem = f"{self._name}: unreadable reply {pdu.hex(' ')}"
         else:
             return reply
