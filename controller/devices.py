@@ -12,6 +12,13 @@ from drivers.clock import Clock
 from drivers.links import ByteLink, CanLink
 from drivers.optoncdt import LaserConfig, OptoncdtLaser
 
+# How long each link may be silent; times `patience` where simulated devices share a busy computer.
+HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
+MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
+SDO_TIMEOUT_S: Final = 0.3
+LASER_SILENCE_S: Final = 0.25
+LASER_PROMPT_S: Final = 0.5
+REPLY_TIMEOUT_S: Final = 0.2
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
 
 SEARCH_GAP_S: Final = 0.5  # between two polls of a search; `Acquisition` asks far more of a touch that counts
@@ -27,7 +34,8 @@ def make_devices(
     keep_alive_thread: bool,
 ) -> Devices:
     """Drivers that are not connected yet."""
-    robot, laser, probe = cell.robot, cell.laser, cell.probe
+    robot, laser, probe, patience = cell.robot, cell.laser, cell.probe, cell.cell.patience
+    silence_s = SILENCE_S * patience
     arm = CanopenArm(
         robot_link,
         ArmConfig(
@@ -40,8 +48,11 @@ def make_devices(
             sync_period_s=robot.sync_period_s,
             cruise_sync_period_s=robot.cruise_sync_period_s,
             counts_per_rad=1.0 / robot.encoder_step_rad,
-            most_missed_syncs=max(3, math.ceil(SILENCE_S / (2.0 * robot.sync_period_s))),  # each costs two
-            sync_timeout_factor=min(255, max(3, math.ceil(SILENCE_S / robot.sync_period_s))),
+            most_missed_syncs=max(3, math.ceil(silence_s / (2.0 * robot.sync_period_s))),  # each costs two
+            sync_timeout_factor=min(255, max(3, math.ceil(silence_s / robot.sync_period_s))),
+            heartbeat_timeout_s=HEARTBEAT_TIMEOUT_S * patience,
+            master_timeout_s=MASTER_TIMEOUT_S * patience,
+            sdo_timeout_s=SDO_TIMEOUT_S * patience,
             model=robot.model,
         ),
         clock,
@@ -57,6 +68,8 @@ def make_devices(
             model=laser.model,
             serial_number=laser.serial_number,
             noise_m=laser.reading_noise_m,
+            silence_s=LASER_SILENCE_S * patience,
+            prompt_timeout_s=LASER_PROMPT_S * patience,
         ),
         clock,
     )
@@ -66,7 +79,8 @@ def make_devices(
             channel=probe.channel,
             poll_period_s=probe.poll_period_s,
             model=probe.model,
-            longest_gap_s=SEARCH_GAP_S,
+            longest_gap_s=SEARCH_GAP_S * patience,
+            reply_timeout_s=REPLY_TIMEOUT_S * patience,
         ),
         clock,
     )

@@ -16,7 +16,6 @@ from drivers.optoncdt_codec import CodeArray
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from estimation.transform import FloatArray
 
-SILENCE_LIMIT_S: Final = 0.25
 FROZEN_RUN: Final = 20  # identical values in a row: p < 5e-4 where the noise is 0.5 steps or more
 FROZEN_NOISE_STEPS: Final = 0.5
 MOST_DRAINED_S: Final = 2.0
@@ -35,6 +34,7 @@ class LaserConfig:
     noise_m: float = 0.0  # of one value; 0 switches the search for a frozen value off
     working_range_m: tuple[float, float] | None = None  # distances outside are rejected
     stale_s: float = 0.0  # values may lie so long in the converter: dropped at the start of a window
+    silence_s: float = 0.25  # without a value, after which the line counts as dead
     prompt_timeout_s: float = 0.5
     drain_silence_s: float = 0.002
     info_patterns: Mapping[str, str] = field(default_factory=lambda: dict(codec.INFO_PATTERNS))
@@ -131,7 +131,7 @@ class OptoncdtLaser:
                 missing = minimum + stale - got
                 if missing > 1:
                     clock.sleep(min(missing * period_s, 0.05))
-            elif now - heard_s >= SILENCE_LIMIT_S:
+            elif now - heard_s >= self._config.silence_s:
                 raise self._silent(bytes_seen, self._decoder.bad_bytes - bad_before)
         self._frames += got
         return self._readings(np.concatenate(chunks)[stale:], np.concatenate(times)[stale:])
@@ -171,10 +171,10 @@ class OptoncdtLaser:
         self._timeouts += 1
         if bad_bytes > 0:
             return FrameError(
-                f"Laser: {bad_bytes} of {bytes_seen} bytes unreadable and no value in {SILENCE_LIMIT_S:g} s",
+                f"Laser: {bad_bytes} of {bytes_seen} bytes unreadable, no value in {self._config.silence_s:g} s",
                 "Check cable and baud rate",
             )
-        return DeviceTimeout(f"Laser: no data for {SILENCE_LIMIT_S:g} s", "Check cable and power")
+        return DeviceTimeout(f"Laser: no data for {self._config.silence_s:g} s", "Check cable and power")
 
     # --- commands ------------------------------------------------------------------------------------
 

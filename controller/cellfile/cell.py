@@ -5,7 +5,7 @@ import json
 from datetime import date
 from pathlib import Path
 
-from pydantic import PrivateAttr
+from pydantic import Field, PrivateAttr
 
 from controller.cellfile.devices import Laser, Probe, Robot
 from controller.cellfile.job import Job
@@ -22,6 +22,8 @@ class Header(Table):
     """Name of the cell."""
     simulated: bool = False
     """Whether simulators stand in for the devices: every result then says so."""
+    patience: float = Field(default=1.0, ge=1.0, le=100.0)
+    """Watches over links wait so many times longer; above 1 only for simulated devices on a busy computer."""
 
 
 class Cell(Table):

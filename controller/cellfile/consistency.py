@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from controller.cellfile import job_checks, part_checks
+from controller.cellfile.cell import Header
 from controller.cellfile.devices import Laser, Probe, Robot
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import Mistake, Source, nearest
@@ -41,6 +42,12 @@ def find_inconsistencies(sections: dict[str, Any], source: Source, directory: Pa
         if (wanted := inspect.signature(check).parameters.keys()) <= available.keys()
         for finding in check(**{name: available[name] for name in wanted})
     ]
+
+
+def patience(cell: Header) -> Iterator[Finding]:
+    """A real device that is late is a fault, however busy the computer is."""
+    if cell.patience > 1.0 and not cell.simulated:
+        yield ("cell", "patience"), f"{cell.patience:g} for real devices", "write 1, or simulated = true"
 
 
 def joints(robot: Robot) -> Iterator[Finding]:
@@ -235,6 +242,7 @@ def artefact_sizes(plate: Plate, bar: Bar) -> Iterator[Finding]:
 
 
 CHECKS: Final[tuple[Check, ...]] = (
+    patience,
     joints,
     encoder,
     can_bus,

@@ -29,6 +29,7 @@ HASTE: Final = (  # what a simulated arm does not need
     ('\nsync_period = "20 ms"', '\nsync_period = "10 ms"'),
     ('\ncruise_sync_period = "50 ms"', '\ncruise_sync_period = "10 ms"'),
     ('\nsearch_speed = "8 mm/s"', '\nsearch_speed = "20 mm/s"'),
+    ("\npatience = 1 ", "\npatience = 8 "),  # other tests may run beside
 )
 
 # Forks daemons from a process that has imported everything: a restart within half a second. Reads command
