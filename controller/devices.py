@@ -15,6 +15,7 @@ from drivers.optoncdt import LaserConfig, OptoncdtLaser
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
 HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
 MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
+LATEST_ANSWER_S: Final = 0.02  # to a SYNC
 SDO_TIMEOUT_S: Final = 0.3
 LASER_SILENCE_S: Final = 0.25
 LASER_PROMPT_S: Final = 0.5
@@ -22,6 +23,8 @@ REPLY_TIMEOUT_S: Final = 0.2
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
 
 SEARCH_GAP_S: Final = 0.5  # between two polls of a search; `Acquisition` asks far more of a touch that counts
+
+BURST_S: Final = 0.02  # serial converters hand over what they have within this
 
 
 def make_devices(
@@ -50,6 +53,7 @@ def make_devices(
             counts_per_rad=1.0 / robot.encoder_step_rad,
             most_missed_syncs=max(3, math.ceil(silence_s / (2.0 * robot.sync_period_s))),  # each costs two
             sync_timeout_factor=min(255, max(3, math.ceil(silence_s / robot.sync_period_s))),
+            latest_answer_s=LATEST_ANSWER_S * patience,
             heartbeat_timeout_s=HEARTBEAT_TIMEOUT_S * patience,
             master_timeout_s=MASTER_TIMEOUT_S * patience,
             sdo_timeout_s=SDO_TIMEOUT_S * patience,
@@ -68,6 +72,7 @@ def make_devices(
             model=laser.model,
             serial_number=laser.serial_number,
             noise_m=laser.reading_noise_m,
+            drain_silence_s=BURST_S,
             silence_s=LASER_SILENCE_S * patience,
             prompt_timeout_s=LASER_PROMPT_S * patience,
         ),
