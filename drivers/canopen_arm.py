@@ -52,6 +52,7 @@ class CanopenArm:
             master_id=config.master_id,
             heartbeat_timeout_s=config.heartbeat_timeout_s,
             most_missed_syncs=config.most_missed_syncs,
+            latest_answer_s=config.latest_answer_s,
             on_fault=self._quick_stop_all,
         )
         self._setup = ArmSetup(self._master, clock, config, master_is_watched=keep_alive_thread)

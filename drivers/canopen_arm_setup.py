@@ -44,6 +44,9 @@ class ArmConfig:
     move_margin_s: float = 2.0  # allowed on top of the computed duration of a move
     heartbeat_timeout_s: float = 2.5 * HEARTBEAT_PERIOD_S  # a node silent for so long is lost
     most_missed_syncs: int = 3  # unanswered in a row
+    latest_answer_s: float = (
+        0.02  # after its SYNC; a missed answer is waited for so long before the next SYNC
+    )
     sync_timeout_factor: int | None = None  # 200Eh; None leaves what the drive has
 
 

@@ -25,6 +25,7 @@ from estimation.errors import DeviceError, DeviceTimeout
 HEARTBEAT_PERIOD_S: Final = 0.1
 MOST_DOUBLE_ANSWERS: Final = 10  # of one joint in DOUBLE_WINDOW SYNCs; a few are a link that stalls
 DOUBLE_WINDOW: Final = 50
+LOST_ANSWERS: Final = 25  # so many times the wait for an answer, and there is none
 KEEPER_SLICE_S: Final = 0.005
 DRAIN_LIMIT_S: Final = 0.5
 
@@ -57,10 +58,13 @@ class CanopenMaster:
         master_id: int,
         heartbeat_timeout_s: float,
         most_missed_syncs: int,
+        latest_answer_s: float,
         on_fault: Callable[[], None],
     ) -> None:
         self._link, self._clock, self._on_fault = link, clock, on_fault
         self._heartbeat_timeout_s, self._most_missed = heartbeat_timeout_s, most_missed_syncs
+        self._latest_answer_s = latest_answer_s
+        self._sample_timeout_s = max(0.5, LOST_ANSWERS * latest_answer_s)
         self.node_ids = tuple(node_ids)
         self._period_s, self._heartbeat_id = sync_period_s, codec.HEARTBEAT + master_id
         self._cruise_period_s = max(sync_period_s, cruise_sync_period_s)
@@ -86,6 +90,7 @@ class CanopenMaster:
         self._answered, self._awaiting, self._interrupted = 0, False, 0
         self._sync_number, self._sync_s, self._next_sync_s = 0, 0.0, math.inf
         self._next_heartbeat_s, self._cruise_until_s = math.inf, -math.inf
+        self._due_s = math.inf
         self._missed, self._doubled = 0, [0] * joints
         self.samples.clear()
         self._news = 0  # complete samples and faults, for those who wait for either
@@ -118,12 +123,13 @@ class CanopenMaster:
         self._heard_s = [now] * len(self.node_ids)
         self._next_sync_s = self._next_heartbeat_s = now
 
-    def next_sample(self, timeout_s: float = 0.5, *, in_fault: bool = False) -> Sample:
+    def next_sample(self, timeout_s: float | None = None, *, in_fault: bool = False) -> Sample:
         """All joints at the first SYNC that is sent after this call.
 
         Raises the latched fault unless `in_fault`, and DeviceTimeout.
         """
         with self.foreground():
+            timeout_s = self._sample_timeout_s if timeout_s is None else timeout_s
             asked, deadline_s = self._sync_number, self._clock.now_s() + timeout_s
             while True:
                 if not in_fault:
@@ -261,8 +267,11 @@ class CanopenMaster:
         if now >= self._next_heartbeat_s:
             self._next_heartbeat_s = now + HEARTBEAT_PERIOD_S - self._period_s / 2
             self._link.send(self._heartbeat_id, bytes((codec.OPERATIONAL,)))
+        if self._awaiting and now < self._sync_s + self._latest_answer_s:
+            self._next_sync_s = self._sync_s + self._latest_answer_s  # one question at a time
+            return
         if self._awaiting:
-            # Stay silent for one period: an answer that comes late must not be taken for the next one.
+            # Stay silent for as long as an answer may be late: it must not be taken for the next one.
             self._awaiting = False
             self._missed += 1
             self.timeouts += 1
@@ -274,7 +283,7 @@ class CanopenMaster:
                         "Check power and CAN wiring of this joint, then reset",
                     )
                 )
-            self._next_sync_s = now + self._period_s
+            self._next_sync_s = now + max(self._period_s, self._latest_answer_s)
             return
         self._answered, self._awaiting = 0, True
         if self._interrupted:
@@ -289,6 +298,7 @@ class CanopenMaster:
         self._next_sync_s += period_s
         if self._next_sync_s <= now:
             self._next_sync_s = now + period_s
+        self._due_s = self._next_sync_s
         self._link.send(codec.SYNC, b"")
 
     def _dispatch(self, can_id: int, data: bytes, time_s: float) -> None:
@@ -319,6 +329,7 @@ class CanopenMaster:
 
     def _complete_sample(self) -> None:
         self._awaiting, self._missed = False, 0
+        self._next_sync_s = min(self._next_sync_s, self._due_s)
         if self._interrupted:
             return
         status, counts = tuple(self._status), tuple(self._counts)

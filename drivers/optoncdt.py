@@ -169,12 +169,13 @@ class OptoncdtLaser:
 
     def _silent(self, bytes_seen: int, bad_bytes: int) -> DeviceError:
         self._timeouts += 1
+        limit_s = self._config.silence_s
         if bad_bytes > 0:
             return FrameError(
-                f"Laser: {bad_bytes} of {bytes_seen} bytes unreadable, no value in {self._config.silence_s:g} s",
+                f"Laser: {bad_bytes} of {bytes_seen} bytes unreadable and no value in {limit_s:g} s",
                 "Check cable and baud rate",
             )
-        return DeviceTimeout(f"Laser: no data for {self._config.silence_s:g} s", "Check cable and power")
+        return DeviceTimeout(f"Laser: no data for {limit_s:g} s", "Check cable and power")
 
     # --- commands ------------------------------------------------------------------------------------
 
