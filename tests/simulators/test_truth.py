@@ -54,8 +54,9 @@ def test_errors_have_the_declared_spread(world_file: WorldFile) -> None:
         close([t.deviations["laser"][axis] for t in truths], laser.position_sigma_m)
         close([t.deviations["laser"][3 + axis] for t in truths], laser.rotation_sigma_rad)
     close([t.bar_length_m - world_file.bar.length_m for t in truths], world_file.bar.length_sigma_m)
-    close([t.features["bore"].shift_m[0] for t in truths], 0.03e-3)
-    close([t.features["boss"].offset_m for t in truths], 0.015e-3)
+    features = {feature.name: feature for feature in world_file.part.features}
+    close([t.features["bore"].shift_m[0] for t in truths], features["bore"].shift_sigma_m)
+    close([t.features["boss"].offset_m for t in truths], features["boss"].offset_sigma_m)
 
 
 def test_the_part_stays_within_what_the_clamps_allow(world_file: WorldFile) -> None:
