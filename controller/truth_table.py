@@ -57,7 +57,7 @@ class TruthTable:
         table = Table(
             title="Stated against the hidden truth (mm)", title_justify="left", box=None, pad_edge=False
         )
-        table.add_column("quantity")
+        table.add_column("quantity", no_wrap=True)
         for heading in ("true error", "stated U", "limit"):
             table.add_column(heading, justify="right")
         table.add_column("truth within U")

@@ -10,6 +10,14 @@ import serial
 
 from estimation.errors import DeviceError
 
+try:
+    from termios import error as _terminal_error
+except ImportError:  # not on Windows
+    _terminal_error = OSError  # type: ignore[misc,assignment]
+
+# What a port raises once its device is gone; a flush answers with an error that is no OSError.
+PORT_ERRORS: Final = (serial.SerialException, OSError, _terminal_error)
+
 KEPT_BYTES: Final = 1 << 18  # the kernel keeps 4 KiB only, 0.7 s of a fast sensor
 READ_SLICE_S: Final = 0.05
 WRITE_TIMEOUT_S: Final = 1.0
@@ -38,9 +46,9 @@ class SerialLink:
             port = serial.Serial(
                 self.port, self.baud, timeout=READ_SLICE_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
             )
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (*PORT_ERRORS, ValueError) as error:
             raise opening_failed(self.port, error) from error
-        with contextlib.suppress(OSError):  # a pseudo-terminal has no such lines
+        with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no such lines
             port.dtr = port.rts = True
         self._serial, self._failure = port, None
         self._buffer.clear()
@@ -66,7 +74,7 @@ class SerialLink:
                 f"Port {self.port} takes no data for {WRITE_TIMEOUT_S:g} s",
                 "Check the converter and its cable",
             ) from error
-        except (serial.SerialException, OSError) as error:
+        except PORT_ERRORS as error:
             raise self._gone(error) from error
 
     def read(self, timeout_s: float) -> bytes:
@@ -86,7 +94,7 @@ class SerialLink:
         port = self._require()
         with self._draining:
             self._flushes += 1
-            with contextlib.suppress(serial.SerialException, OSError):  # `read` tells that a port is gone
+            with contextlib.suppress(*PORT_ERRORS):  # `read` tells that a port is gone
                 port.reset_input_buffer()
             with self._arrived:
                 self._buffer.clear()
@@ -106,7 +114,7 @@ class SerialLink:
                         if len(self._buffer) > KEPT_BYTES:
                             del self._buffer[:-KEPT_BYTES]
                         self._arrived.notify_all()
-        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed while reading
+        except (*PORT_ERRORS, TypeError) as error:  # TypeError: closed while reading
             with self._arrived:
                 self._failure = self._gone(error)
                 self._arrived.notify_all()

@@ -76,7 +76,7 @@ class LocalizePhase(OnePlan):
             reject_level=OUTLIER_LEVEL,
         )
         corners = part_corners_m(context.cell)
-        names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f}) mm" for x, y, z in corners]
+        names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f})" for x, y, z in corners]
         gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
         verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Part")
         faces = [f"part.{name}" for name in context.spec.faces]

@@ -77,6 +77,7 @@ def test_unplugged_serial_port_is_told_and_can_be_opened_again() -> None:
         link = SerialLink(port.path, 9600)
         link.reopen()
         port.unplug()
+        link.discard_input()  # the flush fails with an error of its own kind: not ours to raise here
         with pytest.raises(DeviceError, match="is gone"):
             link.read(5.0)
         link.port = other.path
