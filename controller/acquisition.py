@@ -18,9 +18,9 @@ from estimation.errors import DeviceError
 from estimation.kinematics import ArmModel
 from estimation.transform import FloatArray
 
-BACK_OFF_M = 3e-4  # how far the ball leaves the surface between the fast and the slow touch
+BACK_OFF_M = 2e-4  # how far the ball leaves the surface between the fast and the slow touch
 SLOW_TOUCHES = 4  # at most, when the polls of the probe come too far apart
-GOOD_POLLS = 5.0  # poll periods: a touch known so well needs no other
+GOOD_POLLS = 8.0  # poll periods: a touch known so well needs no other
 WORST_POLLS = 25.0  # and one that is not even known so well does not count
 MINIMUM_CYCLES = 20  # laser cycles in one measurement
 

@@ -33,6 +33,7 @@ HASTE: Final = (
     ("sync_period", "20 ms", "10 ms"),
     ("cruise_sync_period", "50 ms", "10 ms"),
     ("search_speed", "8 mm/s", "20 mm/s"),
+    ("touch_speed", "1 mm/s", "1.25 mm/s"),
 )
 PATIENCE: Final = 8  # all of the cell shares this computer with whatever else runs on it
 START_TIMEOUT_S: Final = 60.0
@@ -84,12 +85,20 @@ def run_demo(
         place = Place(_fresh(folder, scenario, seed), Path(sockets))
         port = _copy_cell(place, scenario)
         say(f"Cell bench-block, seed {seed}, scenario {scenario}, in {place.folder}")
-        mistakes = _mistakes(place.cell)
-        if mistakes:
-            print(mistakes, file=sys.stderr)
-            say("Refused: nothing was opened, nothing moved.")
-            return ExitCode.BAD_INPUT
-        with _simulators(place, seed, scenario, port, motion_speed), _daemon(place), _client(place) as client:
+        logs = place.folder / "simulators.log", place.folder / "daemon.log"
+        world = _process(_simulator_command(place, seed, scenario, port, motion_speed), logs[0])
+        with (
+            world as simulators,
+            _process(_daemon_command(place), logs[1]) as daemon,
+            _client(place) as client,
+        ):
+            try:
+                _await(daemon, logs[1], lambda: _answers(place), "daemon")
+            except Refused as refused:
+                print(refused, file=sys.stderr)
+                say("Refused: the daemon opened nothing, nothing moved.")
+                return ExitCode.BAD_INPUT
+            _await(simulators, logs[0], (place.run / "simulator.json").exists, "simulators")
             status = _play(client, place, scenario, as_json)
             code = code_of_status(status)
             reports = client.get("/report")["files"] if status.get("run") else []
@@ -153,27 +162,12 @@ def _copy_cell(place: Place, scenario: str) -> int:
     return port
 
 
-def _mistakes(cell: Path) -> str:
-    from controller.cellfile import check_cell, format_mistakes
-    from controller.planning.feasibility import limit_mistakes
-
-    return format_mistakes(check_cell(cell, feasibility=limit_mistakes))
-
-
 @contextlib.contextmanager
-def _process(
-    command: list[str], log: Path, ready: Callable[[], bool], what: str
-) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is ready when entered, and gone when left."""
+def _process(command: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that is gone when left; `_await` says when it is ready."""
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
     try:
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while not ready():
-            if process.poll() is not None or time.monotonic() > deadline:
-                last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no output"]
-                raise CellError(f"The {what} did not start: {last[0]}", f"See {log}")
-            time.sleep(0.05)
         yield process
     finally:
         process.terminate()
@@ -184,24 +178,36 @@ def _process(
             process.wait()
 
 
-def _simulators(
-    place: Place, seed: int, scenario: str, port: int, motion_speed: float
-) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    command = [
+def _await(process: subprocess.Popen[bytes], log: Path, ready: Callable[[], bool], what: str) -> None:
+    """Until the process is ready. Raises Refused if it found the cell file wrong, CellError if it fails."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while not ready():
+        if process.poll() is not None or time.monotonic() > deadline:
+            said = log.read_text(errors="replace").strip()
+            if process.poll() == ExitCode.BAD_INPUT:
+                raise Refused(said)
+            raise CellError(
+                f"The {what} did not start: {(said.splitlines() or ['no output'])[-1]}", f"See {log}"
+            )
+        time.sleep(0.05)
+
+
+class Refused(Exception):
+    """The daemon found mistakes in the cell file, and opened nothing."""
+
+
+def _simulator_command(place: Place, seed: int, scenario: str, port: int, motion_speed: float) -> list[str]:
+    return [
         sys.executable, "-m", "simulators", str(place.cell.parent), "--seed", str(seed),
         "--scenario", scenario, "--probe-port", str(port), "--motion-speed", f"{motion_speed:g}",
     ]  # fmt: skip
-    return _process(
-        command, place.folder / "simulators.log", (place.run / "simulator.json").exists, "simulators"
-    )
 
 
-def _daemon(place: Place) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    command = [
+def _daemon_command(place: Place) -> list[str]:
+    return [
         sys.executable, "-m", "controller", "serve", str(place.cell),
         "--state-dir", str(place.state), "--socket", str(place.daemon),
     ]  # fmt: skip
-    return _process(command, place.folder / "daemon.log", lambda: _answers(place), "daemon")
 
 
 def _answers(place: Place) -> bool:
