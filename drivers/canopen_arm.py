@@ -273,9 +273,11 @@ class CanopenArm:
         with self._command_lock:
             for node, counts, speed in zip(config.node_ids, target, velocity, strict=True):
                 self._link.send(codec.RPDO[1] + node, codec.RPDO2.pack(counts, speed))
+        self._master.hurry()  # the arm rests: nothing is sampled that would need evenly spaced SYNCs
         self._motion_sample()
         self._commanded = True
         self._command(codec.ENABLE | codec.NEW_SET_POINT | codec.CHANGE_IMMEDIATELY)
+        self._master.hurry()
         acknowledge_by_s = self._clock.now_s() + 0.5
         while not (sample := self._motion_sample()).all_set & codec.SET_POINT_ACKNOWLEDGED:
             if self._clock.now_s() > acknowledge_by_s:
