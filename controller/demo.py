@@ -30,8 +30,8 @@ MOTION_SPEED: Final = 100.0
 # A simulated arm does not swing, and its stylus does not break: what a real one needs would only be waiting.
 HASTE: Final = (
     ("settle_time", "150 ms", "20 ms"),
-    ("sync_period", "20 ms", "10 ms"),
-    ("cruise_sync_period", "50 ms", "10 ms"),
+    ("sync_period", "20 ms", "5 ms"),
+    ("cruise_sync_period", "50 ms", "5 ms"),
     ("search_speed", "8 mm/s", "20 mm/s"),
     ("touch_speed", "1 mm/s", "1.25 mm/s"),
 )
