@@ -38,8 +38,10 @@ demo: $(STAMP) ## run the whole cell against simulated devices
 	@$(BIN)/truecell demo
 
 test: lint ## everything that must pass before a commit lands
-	@echo "tests"
-	@$(BIN)/pytest -q -n 2 --dist loadfile
+	@echo "tests in virtual time"
+	@$(BIN)/pytest -q -n 2 --dist loadfile -m "not wire and not campaign"
+	@echo "tests on real ports: alone, because they run in real time"
+	@$(BIN)/pytest -q -m "wire and not campaign"
 
 lint: $(STAMP) ## style, types and import contracts
 	@echo "ruff check"
