@@ -18,7 +18,7 @@ from estimation.transform import FloatArray
 
 FROZEN_RUN: Final = 20  # identical values in a row: p < 5e-4 where the noise is 0.5 steps or more
 FROZEN_NOISE_STEPS: Final = 0.5
-MOST_DRAINED_S: Final = 2.0
+MOST_DRAINED_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,14 +181,20 @@ class OptoncdtLaser:
 
     def _silence(self) -> None:
         """OUTPUT NONE until it is answered: after a restart the sensor may still be streaming."""
-        received = b""
+        received, talks = b"", False
         for _ in range(3):
             self._link.write(b"OUTPUT NONE\n")
             data = self._read_until_prompt()
             received += data
+            # The first command may have met the rest of another one, and was refused together with it.
             if codec.parse_reply(data) is not None:
-                self._drain()
-                return
+                talks = True
+                if self._drained():
+                    return
+        if talks:
+            raise FrameError(
+                f"Laser: still sending {MOST_DRAINED_S:g} s after OUTPUT NONE", "Switch the sensor off and on"
+            )
         line = f"{self._config.baud} 8N1"
         if received:
             raise FrameError(
@@ -197,14 +203,13 @@ class OptoncdtLaser:
             )
         raise DeviceTimeout(f"Laser: no valid answer at {line}", "Check cable, power and baud rate")
 
-    def _drain(self) -> None:
+    def _drained(self) -> bool:
+        """Whether the sensor falls silent."""
         deadline_s = self._clock.now_s() + MOST_DRAINED_S
         while self._link.read(self._config.drain_silence_s):
             if self._clock.now_s() > deadline_s:
-                raise FrameError(
-                    f"Laser: still sending {MOST_DRAINED_S:g} s after OUTPUT NONE",
-                    "Switch the sensor off and on",
-                )
+                return False
+        return True
 
     def _command(self, command: str) -> codec.Reply:
         self._link.write(command.encode("ascii") + b"\n")
