@@ -28,7 +28,7 @@ $(STAMP): pyproject.toml requirements/bootstrap.txt requirements/dev.txt
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements/bootstrap.txt
 	@echo "setup 2/3: installing hash-checked packages (about a minute on the first run)"
-	@$(UV) pip install --quiet --require-hashes -r requirements/dev.txt
+	@$(UV) pip install --quiet --compile-bytecode --require-hashes -r requirements/dev.txt
 	@echo "setup 3/3: installing truecell from this folder"
 	@$(UV) pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
