@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import os
 import select
 import threading
 from typing import Final
@@ -141,4 +142,6 @@ def opening_failed(port: str, error: Exception) -> DeviceError:
         remedy = "Give this user access to the port (on most systems: the group dialout)"
     elif number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         remedy = "Another program uses it: stop that one"
-    return DeviceError(f"Port {port} cannot be opened: {text}", remedy)
+    # pyserial's own text names the port again, twice.
+    cause = os.strerror(number) if isinstance(number, int) else text.rpartition("] ")[2]
+    return DeviceError(f"Port {port} cannot be opened: {cause}", remedy)
