@@ -65,6 +65,7 @@ requirements: ## pin again after a change of dependencies in pyproject.toml; UPG
 	@echo "uv>=0.8" | $(COMPILE) $(UPGRADE) - -o requirements/bootstrap.txt
 	@$(COMPILE) $(UPGRADE) pyproject.toml -o requirements/run.txt
 	@$(COMPILE) $(UPGRADE) --extra dev -c requirements/run.txt pyproject.toml -o requirements/dev.txt
+	@$(COMPILE) $(UPGRADE) --extra bench -c requirements/dev.txt pyproject.toml -o requirements/bench.txt
 	@if grep -nE 'https?://|file:|/home/' requirements/*.txt; then echo "a requirements file names a host or a path" >&2; exit 1; fi
 
 clean: ## remove the environment, caches and results
