@@ -1,0 +1,1 @@
+"""Noise identification from repeated measurements: by source, and at poses never measured."""
