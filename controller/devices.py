@@ -4,13 +4,13 @@ import math
 from typing import Final
 
 from controller.cellfile import Cell
-from drivers.adam6052 import AdamProbe, ProbeConfig
-from drivers.canopen_arm import CanopenArm
-from drivers.canopen_arm_setup import ArmConfig
 from drivers.capabilities import Devices
 from drivers.clock import Clock
-from drivers.links import ByteLink, CanLink
-from drivers.optoncdt import LaserConfig, OptoncdtLaser
+from drivers.links.interfaces import ByteLink, CanLink
+from drivers.probes.adam6052 import AdamProbe, ProbeConfig
+from drivers.robots.canopen_arm import CanopenArm
+from drivers.robots.canopen_arm_setup import ArmConfig
+from drivers.sensors.optoncdt import LaserConfig, OptoncdtLaser
 
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
 HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive

@@ -12,10 +12,10 @@ from controller.job import CellJob
 from controller.packml import State
 from controller.planning.feasibility import limit_mistakes
 from controller.store import Store
-from drivers.can_link import PythonCanLink
 from drivers.clock import RealClock
-from drivers.serial_link import SerialLink
-from drivers.tcp_link import TcpLink
+from drivers.links.can_bus import PythonCanLink
+from drivers.links.serial_port import SerialLink
+from drivers.links.tcp import TcpLink
 
 STORE_NAME = "cell.sqlite"
 SWITCH_INTERVAL_S: Final = 0.0005  # at Python's 5 ms, each answer of a device waits for the other threads

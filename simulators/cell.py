@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import CellFileError
-from simulators.adam6052 import Adam6052
-from simulators.arm import SimulatedArm
-from simulators.contact import StylusContact
-from simulators.optoncdt import OptoNcdt1420
-from simulators.truth import draw_truth, stream
-from simulators.world import World
-from simulators.world_file import read_world_file
+from simulators.probes.adam6052 import Adam6052
+from simulators.robots.canopen_arm import SimulatedArm
+from simulators.sensors.optoncdt import OptoNcdt1420
+from simulators.world.contact import StylusContact
+from simulators.world.truth import draw_truth, stream
+from simulators.world.world import World
+from simulators.world.world_file import read_world_file
 
 
 class CellModel:

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulators.adam6052 import ModbusConnection
 from simulators.cell import CellModel
 from simulators.ports import PtyPort, TcpPort, garbled
+from simulators.probes.adam6052 import ModbusConnection
 from simulators.slcan import SlcanDongle, encode_frame
 
 LONGEST_WAIT_S: Final = 0.02

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from simulators.arm import Frame
+from simulators.robots.canopen_arm import Frame
 
 OK: Final = b"\r"
 REFUSED: Final = b"\a"

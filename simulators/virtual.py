@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Protocol
 
 from estimation.errors import DeviceError
-from simulators.adam6052 import ModbusConnection
-from simulators.arm import Frame
 from simulators.cell import CellModel
+from simulators.probes.adam6052 import ModbusConnection
+from simulators.robots.canopen_arm import Frame
 
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
 

@@ -13,9 +13,9 @@ from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.solver import update
 from estimation.transform import FloatArray
-from simulators.truth import Truth, draw_truth, stream
-from simulators.world import World
-from simulators.world_file import WorldFile, read_world_file
+from simulators.world.truth import Truth, draw_truth, stream
+from simulators.world.world import World
+from simulators.world.world_file import WorldFile, read_world_file
 from tests.support.honesty import Honesty, laser_error, nees, part_error
 
 CELL = Path("cells/bench-block")

@@ -11,11 +11,11 @@ import pytest
 
 from controller.cellfile import load_cell
 from controller.devices import make_devices
-from drivers.can_link import PythonCanLink
 from drivers.capabilities import Devices
 from drivers.clock import RealClock
-from drivers.serial_link import SerialLink
-from drivers.tcp_link import TcpLink
+from drivers.links.can_bus import PythonCanLink
+from drivers.links.serial_port import SerialLink
+from drivers.links.tcp import TcpLink
 
 ROOT = Path(__file__).parents[1]
 CELL = ROOT / "cells" / "bench-block"

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.links import CanFrame
+from drivers.links.interfaces import CanFrame
 from estimation.errors import DeviceError
 
 

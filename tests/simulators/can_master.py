@@ -2,7 +2,7 @@
 
 import struct
 
-from simulators.arm import COUNT_RAD, Frame, SimulatedArm
+from simulators.robots.canopen_arm import COUNT_RAD, Frame, SimulatedArm
 
 SYNC_S = 0.02
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulators.arm import SimulatedArm
-from simulators.truth import Truth, draw_truth, stream
-from simulators.world_file import WorldFile, read_world_file
+from simulators.robots.canopen_arm import SimulatedArm
+from simulators.world.truth import Truth, draw_truth, stream
+from simulators.world.world_file import WorldFile, read_world_file
 from tests.simulators.can_master import Master
 
 CELL = Path(__file__).parents[2] / "cells" / "bench-block"

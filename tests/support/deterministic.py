@@ -14,8 +14,8 @@ from controller.packml import Command, State
 from controller.store import Result, Store
 from estimation.belief import Belief
 from estimation.statistics import Outcome
-from simulators.truth import Truth
 from simulators.virtual import SimulatedCell
+from simulators.world.truth import Truth
 
 BENCH_BLOCK = Path("cells/bench-block")
 

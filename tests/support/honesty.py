@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from estimation.belief import Belief
 from estimation.transform import FloatArray, log_pose
-from simulators.truth import Truth
+from simulators.world.truth import Truth
 
 
 def laser_error(belief: Belief, truth: Truth) -> FloatArray:

@@ -1,0 +1,206 @@
+"""Modbus TCP requests, one at a time, on a ByteLink. Frames and PDUs are pymodbus's; deadlines are ours.
+
+After a timeout a late reply is on its way: the link stays silent, drains, and only then asks again. Replies
+are matched by transaction number, unit, function and length.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
+
+from drivers.clock import Clock
+from drivers.links.interfaces import ByteLink
+from estimation.errors import DeviceError, DeviceTimeout, FrameError
+
+HEADER_BYTES: Final = 7
+MOST_BYTES: Final = 260
+BUSY_CODES: Final = (0x05, 0x06)
+BUSY_RETRIES: Final = 3
+BUSY_PAUSE_S: Final = 0.05
+SETTINGS_CODES: Final = (0x01, 0x02, 0x03)
+
+_EXCEPTION_WORDS: Final[Mapping[int, str]] = {
+    0x01: "illegal function",
+    0x02: "illegal address",
+    0x03: "illegal value",
+    0x04: "device failure",
+    0x05: "acknowledged, still working",
+    0x06: "busy",
+    0x08: "memory parity error",
+    0x0A: "no gateway path",
+    0x0B: "no answer behind the gateway",
+}
+
+
+class ModbusRefusal(DeviceError):
+    """The device answered with an exception; `code` is its number."""
+
+    def __init__(self, problem: str, remedy: str, code: int = 0) -> None:
+        super().__init__(problem, remedy)
+        self.code = code
+
+
+class ModbusTcp:
+    """A client of one unit. `on_resync` is called after the silence that follows a timeout."""
+
+    def __init__(
+        self,
+        link: ByteLink,
+        clock: Clock,
+        *,
+        name: str,
+        unit: int = 1,
+        reply_timeout_s: float = 0.2,
+        tries: int = 2,
+        silence_s: float = 0.05,
+        on_resync: Callable[[], None] | None = None,
+    ) -> None:
+        self._link, self._clock, self._name, self._unit = link, clock, name, unit
+        self._reply_timeout_s, self._tries, self._silence_s = reply_timeout_s, tries, silence_s
+        self._on_resync = on_resync
+        decoder = DecodePDU(is_server=False)
+        self._framer = FramerSocket(decoder)
+        # A touch asks the same thing hundreds of times, and is told the same until it is one.
+        self._decode = functools.lru_cache(maxsize=16)(decoder.decode)
+        self._requests: dict[tuple[type[ModbusPDU], int, int], Any] = {}
+        self._transactions = itertools.cycle(range(1, 0x10000))
+        self._received = b""
+        self._out_of_step = False
+        self.frames = self.bad_frames = self.timeouts = 0
+        self.sent_s = self.received_s = 0.0  # of the last transaction
+
+    def reset(self) -> None:
+        """Forget what was received: after the link was opened."""
+        self._received, self._out_of_step = b"", False
+
+    def read_inputs(self, address: int, count: int) -> list[bool]:
+        """FC 2, discrete inputs from a 0-based address."""
+        request = self._request(ReadDiscreteInputsRequest, address, count)
+        reply = self._ask(request, 1 + (count + 7) // 8)
+        return [bool(bit) for bit in reply.bits[:count]]
+
+    def read_input_registers(self, address: int, count: int) -> list[int]:
+        """FC 4, input registers from a 0-based address."""
+        request = self._request(ReadInputRegistersRequest, address, count)
+        return list(self._ask(request, 1 + 2 * count).registers)
+
+    def read_holding_registers(self, address: int, count: int, tries: int | None = None) -> list[int]:
+        """FC 3, holding registers from a 0-based address."""
+        request = self._request(ReadHoldingRegistersRequest, address, count)
+        return list(self._ask(request, 1 + 2 * count, tries).registers)
+
+    def _request(self, kind: type[ModbusPDU], address: int, count: int) -> Any:
+        key = kind, address, count
+        if key not in self._requests:
+            self._requests[key] = kind(address=address, count=count)
+        return self._requests[key]
+
+    def _ask(self, request: Any, payload_bytes: int, tries: int | None = None) -> ModbusPDU:
+        """One answered request. Raises DeviceTimeout, FrameError, ModbusRefusal."""
+        busy = 0
+        failures = list[DeviceError]()
+        while len(failures) < (tries or self._tries):
+            try:
+                self._resynchronise()
+                reply = self._exchange(request, payload_bytes)
+            except (DeviceTimeout, FrameError) as failure:
+                self._out_of_step = True
+                failures.append(failure)
+                continue
+            if not reply.isError():
+                return reply
+            if reply.exception_code not in BUSY_CODES or busy == BUSY_RETRIES:
+                raise self._refusal(request, reply.exception_code)
+            busy += 1
+            self._clock.sleep(BUSY_PAUSE_S)
+        raise failures[-1]
+
+    def _resynchronise(self) -> None:
+        """After a timeout: silence until nothing comes any more, then prove who answers."""
+        if not self._out_of_step:
+            return
+        deadline_s = self._clock.now_s() + 4 * self._silence_s
+        while self._link.read(self._silence_s):
+            if self._clock.now_s() > deadline_s:
+                raise FrameError(f"{self._name} sends without being asked", "Reset the connection")
+        self._received, self._out_of_step = b"", False
+        if self._on_resync is not None:
+            self._on_resync()
+
+    def _exchange(self, request: Any, payload_bytes: int) -> ModbusPDU:
+        request.dev_id, request.transaction_id = self._unit, next(self._transactions)
+        self.sent_s = now = self._clock.now_s()
+        deadline_s = now + self._reply_timeout_s
+        self._link.write(self._framer.buildFrame(request))
+        while True:
+            while (frame := self._next_frame()) is not None:
+                reply = self._matching(frame, request, payload_bytes)
+                if reply is not None:
+                    self.received_s = self._clock.now_s()
+                    self.frames += 1
+                    return reply
+            remaining_s = deadline_s - self._clock.now_s()
+            if remaining_s <= 0.0:
+                self.timeouts += 1
+                raise DeviceTimeout(
+                    f"{self._name}: no answer within {self._reply_timeout_s:g} s", "Check cable and power"
+                )
+            self._received += self._link.read(remaining_s)
+
+    def _next_frame(self) -> tuple[int, int, bytes] | None:
+        """Transaction, unit and PDU of the next complete frame."""
+        head = self._received
+        if len(head) < HEADER_BYTES + 1:
+            return None
+        length = int.from_bytes(head[4:6], "big")
+        if head[2:4] != b"\0\0" or not 2 <= length <= MOST_BYTES - 6:
+            self.bad_frames += 1
+            self._received = b""
+            raise FrameError(
+                f"{self._name} sent {head[:8].hex(' ')}, not a Modbus TCP frame", "Check host and port"
+            )
+        used, unit, transaction, pdu = self._framer.decode(head)
+        if not used:
+            return None
+        self._received = head[used:]
+        return transaction, unit, pdu
+
+    def _matching(self, frame: tuple[int, int, bytes], request: Any, payload_bytes: int) -> ModbusPDU | None:
+        """The reply in this frame; None if it answers something else."""
+        transaction, unit, pdu = frame
+        if transaction != request.transaction_id:
+            self.bad_frames += 1  # late: the request that it answers was given up
+            return None
+        function = request.function_code
+        if unit != self._unit:
+            problem = f"{self._name}: reply from unit {unit} while asking {self._unit}"
+        elif pdu[0] & 0x7F != function:
+            problem = f"{self._name}: reply to function {pdu[0] & 0x7F} while asking {function}"
+        elif pdu[0] == function and (len(pdu) != 1 + payload_bytes or pdu[1] != payload_bytes - 1):
+            problem = f"{self._name}: reply of {len(pdu)} bytes instead of {1 + payload_bytes}"
+        elif (reply := self._decode(pdu)) is None:
+            problem = f"{self._name}: unreadable reply {pdu.hex(' ')}"
+        else:
+            return reply
+        self.bad_frames += 1
+        raise FrameError(problem, "Check that only this controller talks to the device")
+
+    def _refusal(self, request: Any, code: int) -> ModbusRefusal:
+        words = _EXCEPTION_WORDS.get(code, "unknown exception")
+        remedy = "Wait, then reset"
+        if code in SETTINGS_CODES:
+            remedy = "Correct the addresses in the cell file: this device has no such register"
+        elif code not in BUSY_CODES:
+            remedy = "Check the device, then reset"
+        return ModbusRefusal(
+            f"{self._name} refused function {request.function_code} at address {request.address}: "
+            f"{words} ({code:02X})",
+            remedy,
+            code,
+        )

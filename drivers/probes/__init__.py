@@ -1,0 +1,1 @@
+"""Touch probes, read through digital inputs."""

@@ -1,0 +1,1 @@
+"""Arms: codec and driver of each."""

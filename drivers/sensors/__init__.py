@@ -1,0 +1,1 @@
+"""What measures distance, profile, displacement or force: codec and driver of each."""

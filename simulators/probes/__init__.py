@@ -1,0 +1,1 @@
+"""Simulated touch inputs: their side of the wire."""

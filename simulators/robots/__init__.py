@@ -1,0 +1,1 @@
+"""Simulated arms: their side of the wire."""

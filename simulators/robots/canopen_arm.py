@@ -1,0 +1,208 @@
+"""Six drives on one CAN bus: the arm as its master sees it, and where its joints truly are."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from estimation.transform import FloatArray
+from simulators.robots.drive import Drive, DriveSettings
+from simulators.world.world_file import ArmSpec
+
+COUNT_RAD: Final = math.pi / 180 / 1000  # the arm counts thousandths of a degree
+DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts: all answers to a SYNC come together
+REPLY_S: Final = 0.0004  # an SDO server thinks
+NOISE_BLOCK: Final = 4096
+
+
+class Frame(NamedTuple):
+    """One CAN data frame, and when it was on the bus."""
+
+    can_id: int
+    data: bytes
+    time_s: float = 0.0
+
+
+class SimulatedArm:
+    """The bus end of the arm. Time only moves forward, by `advance` or with a frame from the master.
+
+    `noise_factors` (n,) multiply the noise of each joint's readings; `motion_speed` shortens fast moves.
+    """
+
+    def __init__(
+        self,
+        spec: ArmSpec,
+        rng: np.random.Generator,
+        noise_factors: FloatArray | None = None,
+        motion_speed: float = 1.0,
+    ) -> None:
+        self._spec = spec
+        self._rng = rng
+        self._output: deque[Frame] = deque()
+        self._motion_speed = motion_speed
+        factors = np.ones(len(spec.nodes)) if noise_factors is None else np.asarray(noise_factors)
+        self.drives = [self._drive(joint, float(factors[joint])) for joint in range(len(spec.nodes))]
+        self._motions = [drive.motion for drive in self.drives]
+        self._by_node = dict(zip(spec.nodes, self.drives, strict=True))
+        self._next_event_s = math.inf
+        self._receivers: dict[int, Drive] = {}
+        self._settings_changed()
+
+    def _drive(self, joint: int, noise_factor: float) -> Drive:
+        spec, link = self._spec, self._spec.links[joint]
+        settings = DriveSettings(
+            node=spec.nodes[joint],
+            device_name=spec.device_name,
+            serial_number=spec.serial_number + joint,
+            limits_counts=(round(link.lower_rad / COUNT_RAD), round(link.upper_rad / COUNT_RAD)),
+            speed_limit=spec.speed_limit_rad_s / COUNT_RAD,
+            acceleration=spec.acceleration_rad_s2 / COUNT_RAD,
+            quick_stop=spec.quick_stop_rad_s2 / COUNT_RAD,
+            step_counts=spec.encoder_step_rad / COUNT_RAD,
+            enable_delay_s=spec.enable_delay_s,
+            boot_time_s=spec.boot_time_s,
+        )
+        start = float(spec.start_joints_rad[joint]) / COUNT_RAD
+        return Drive(settings, start, self._noise(noise_factor * spec.noise_rad / COUNT_RAD), self._emit)
+
+    def _noise(self, sigma_counts: float) -> Callable[[], float]:
+        """Noise of one joint's readings, drawn in blocks because one by one is slow."""
+        rng = self._rng.spawn(1)[0]
+
+        def draws() -> Iterator[float]:
+            while True:
+                yield from (rng.standard_normal(NOISE_BLOCK) * sigma_counts).tolist()
+
+        return draws().__next__
+
+    # -- bus -------------------------------------------------------------------------------------
+
+    def _emit(self, time_s: float, can_id: int, data: bytes) -> None:
+        output = self._output
+        time_s += DONGLE_S
+        if output and output[-1].time_s > time_s:
+            time_s = output[-1].time_s
+        output.append(Frame(can_id, data, time_s))
+
+    def next_output_s(self) -> float:
+        """Nothing comes from the arm before this, if the master stays silent."""
+        return self._output[0].time_s if self._output else self._next_event_s
+
+    def advance(self, time_s: float) -> None:
+        """Let everything happen that is due by then."""
+        if time_s < self._next_event_s:
+            return
+        for drive in self.drives:
+            if drive.next_event_s <= time_s:
+                drive.advance(time_s)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        self._next_event_s = min([drive.next_event_s for drive in self.drives])
+
+    def next_frame(self, until_s: float) -> Frame | None:
+        """The next frame that is on the bus by then, if any; everything before it has happened."""
+        output = self._output
+        while True:
+            if output and output[0].time_s < self._next_event_s:
+                return output.popleft() if output[0].time_s <= until_s else None
+            if self._next_event_s > until_s:
+                return None
+            self.advance(self._next_event_s)
+
+    def take(self, time_s: float) -> Frame | None:
+        """The oldest frame that was on the bus by then."""
+        if time_s >= self._next_event_s:
+            self.advance(time_s)
+        return self._output.popleft() if self._output and self._output[0].time_s <= time_s else None
+
+    def receive(self, can_id: int, data: bytes, time_s: float) -> None:
+        """A frame from the master."""
+        self.advance(time_s)
+        if can_id == 0x080:
+            self._sync(time_s)
+            return
+        elif can_id in self._receivers:
+            drive = self._receivers[can_id]
+            if drive.receive(can_id, data, time_s):
+                self._start([drive])
+            if drive.next_event_s < self._next_event_s:
+                self._next_event_s = drive.next_event_s
+            return
+        elif can_id >> 7 == 0x600 >> 7:
+            self._request(can_id & 0x7F, data, time_s)
+        elif can_id == 0x000 and len(data) == 2:
+            for node, drive in self._by_node.items():
+                if data[1] in (0, node):
+                    drive.network(data[0], time_s)
+            self._settings_changed()
+        elif can_id >> 7 == 0x700 >> 7:
+            for drive in self.drives:
+                drive.heartbeat(can_id & 0x7F, time_s)
+        else:
+            return
+        self._schedule()
+
+    def _sync(self, time_s: float) -> None:
+        waiting = [drive for drive in self.drives if drive.sync_sample(time_s)]
+        if waiting:
+            starting = [drive for drive in waiting if drive.sync_apply()]
+            if starting:
+                self._start(starting)
+            self._schedule()
+
+    def _start(self, drives: list[Drive]) -> None:
+        """Drives that start at one instant are one move: all of it is sped up, or none."""
+        fastest = max(drive.waiting_speed for drive in drives)
+        fast = fastest * COUNT_RAD >= self._spec.fast_move_rad_s
+        for drive in drives:
+            drive.start_move(self._motion_speed if fast else 1.0)
+
+    def _request(self, node: int, data: bytes, time_s: float) -> None:
+        drive = self._by_node.get(node)
+        if drive is None:
+            return
+        answer = drive.request(data, time_s)
+        if answer:
+            self._emit(time_s + REPLY_S, 0x580 + node, answer)
+        self._settings_changed()
+
+    def _settings_changed(self) -> None:
+        self._receivers = {can_id: drive for drive in self.drives for can_id in drive.receive_ids}
+
+    def permit(self, permitted: bool, time_s: float) -> None:
+        """Give or take the run permission (emergency stop, guard door)."""
+        self.advance(time_s)
+        for drive in self.drives:
+            drive.permit(permitted, time_s)
+        self._schedule()
+
+    def fault(self, joint: int, code: int, time_s: float) -> None:
+        """Let one drive fail; the others do not notice."""
+        self.advance(time_s)
+        self.drives[joint].fault(code, 0x21)
+        self._schedule()
+
+    # -- what is true ----------------------------------------------------------------------------
+
+    def joints_at(self, time_s: float) -> FloatArray:
+        """True joint angles (n,) at any instant up to the present, rad."""
+        counts = [motion.position(time_s) for motion in self._motions]
+        return np.array(counts) * COUNT_RAD
+
+    def standstill(self, time_s: float) -> tuple[int, ...] | None:
+        """Which standstill this instant belongs to; None while a joint moves."""
+        if any(drive.motion.moving(time_s) for drive in self.drives):
+            return None
+        return tuple([drive.motion.phase_number(time_s) for drive in self.drives])
+
+    def course(self, time_s: float) -> tuple[list[float], list[float], float]:
+        """Speeds and accelerations (n,) then, rad/s and rad/s^2; until when the latter hold, as known now."""
+        speeds, accelerations, ends = zip(*[motion.course(time_s) for motion in self._motions], strict=True)
+        return [v * COUNT_RAD for v in speeds], [a * COUNT_RAD for a in accelerations], min(ends)
+
+    def plans(self) -> int:
+        """Changes whenever the plan of any joint does."""
+        return sum([motion.plans for motion in self._motions])

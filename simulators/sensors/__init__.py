@@ -1,0 +1,1 @@
+"""Simulated sensors: their side of the wire."""
