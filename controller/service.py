@@ -13,9 +13,7 @@ from controller.packml import State
 from controller.planning.feasibility import limit_mistakes
 from controller.store import Store
 from drivers.clock import RealClock
-from drivers.links.can_bus import PythonCanLink
-from drivers.links.serial_port import SerialLink
-from drivers.links.tcp import TcpLink
+from drivers.links.ports import RealPorts
 
 STORE_NAME = "cell.sqlite"
 SWITCH_INTERVAL_S: Final = 0.0005  # at Python's 5 ms, each answer of a device waits for the other threads
@@ -30,14 +28,8 @@ def build_engine(cell_path: Path, state_dir: Path) -> tuple[Engine, Store]:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     clock = RealClock()
     store = Store.open(state_dir / STORE_NAME)
-    devices = make_devices(
-        cell,
-        clock,
-        PythonCanLink(cell.robot.interface, cell.robot_port, cell.robot.bitrate, clock),
-        SerialLink(cell.laser_port, cell.laser.baud),
-        TcpLink(cell.probe.host, cell.probe.port),
-        keep_alive_thread=True,
-    )
+    ports = RealPorts(cell.directory, clock)
+    devices = make_devices(cell, ports, clock, keep_alive_thread=True)
     job = CellJob(cell, devices, store, clock, version("truecell"))
     open_run = store.last_open_run()
     if open_run is None:

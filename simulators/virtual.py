@@ -4,6 +4,7 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +14,7 @@ from simulators.cell import CellModel
 from simulators.probes.adam6052 import ModbusConnection
 from simulators.robots.canopen_arm import Frame
 
+_OTHER_CELL = "Simulate the robot that the cell file names"
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
 
 
@@ -209,6 +211,34 @@ class VirtualByteLink(_VirtualLink):
         self.discard_input()
 
 
+class VirtualPorts:
+    """The links of a cell by name; addresses and settings of real ports mean nothing here."""
+
+    def __init__(self, links: Mapping[str, VirtualCanLink | VirtualByteLink]) -> None:
+        self.links = links
+
+    def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> VirtualCanLink:
+        """The CAN bus of this name."""
+        link = self.links[name]
+        if not isinstance(link, VirtualCanLink):
+            raise DeviceError(f"{name} of the simulated cell is no CAN bus", _OTHER_CELL)
+        return link
+
+    def serial(self, name: str, port: str, baud: int, framing: str = "8N1") -> VirtualByteLink:
+        """The serial line of this name."""
+        return self._bytes(name)
+
+    def tcp(self, name: str, host: str, port: int) -> VirtualByteLink:
+        """The TCP connection of this name."""
+        return self._bytes(name)
+
+    def _bytes(self, name: str) -> VirtualByteLink:
+        link = self.links[name]
+        if not isinstance(link, VirtualByteLink):
+            raise DeviceError(f"{name} of the simulated cell is no byte stream", _OTHER_CELL)
+        return link
+
+
 class SimulatedCell:
     """A whole cell in memory: give its links and its clock to the drivers.
 
@@ -232,6 +262,9 @@ class SimulatedCell:
         self.arm_link = VirtualCanLink("arm", self.clock, self.model.arm)
         self.laser_link = VirtualByteLink("laser", self.clock, self.model.laser)
         self.probe_link = VirtualByteLink("probe", self.clock, ModbusConnection(self.model.probe))
+        self.ports = VirtualPorts(
+            {"robot": self.arm_link, "laser": self.laser_link, "probe": self.probe_link}
+        )
 
     def bump(self) -> None:
         """Knock the laser as the scenario says."""

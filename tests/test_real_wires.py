@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,22 @@ CELL = ROOT / "cells" / "bench-block"
 pytestmark = pytest.mark.wire
 
 
+class _FoundPorts:
+    """The ports of a simulator that chose them itself."""
+
+    def __init__(self, where: dict[str, Any]) -> None:
+        self._where = where
+
+    def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> PythonCanLink:
+        return PythonCanLink(interface, self._where["arm"], bitrate)
+
+    def serial(self, name: str, port: str, baud: int, framing: str = "8N1") -> SerialLink:
+        return SerialLink(self._where[name], baud, framing)
+
+    def tcp(self, name: str, host: str, port: int) -> TcpLink:
+        return TcpLink(*self._where[name])
+
+
 @pytest.fixture
 def devices(tmp_path: Path) -> Iterator[Devices]:
     command = [sys.executable, "-m", "simulators", str(CELL), "--run-dir", str(tmp_path), "--probe-port", "0"]
@@ -31,15 +48,7 @@ def devices(tmp_path: Path) -> Iterator[Devices]:
         assert simulators.stdout is not None
         assert simulators.stdout.readline() == "ready\n"
         where = json.loads((tmp_path / "simulator.json").read_text())
-        cell = load_cell(CELL)
-        made = make_devices(
-            cell,
-            RealClock(),
-            PythonCanLink("slcan", where["arm"]),
-            SerialLink(where["laser"], cell.laser.baud),
-            TcpLink(*where["probe"]),
-            keep_alive_thread=True,
-        )
+        made = make_devices(load_cell(CELL), _FoundPorts(where), RealClock(), keep_alive_thread=True)
         try:
             for device in made.all():
                 device.connect()

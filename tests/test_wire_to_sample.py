@@ -61,8 +61,7 @@ def cell() -> Cell:
 def rig(cell: Cell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     cache = tmp_path_factory.getbasetemp() / "faces"
     world = SimulatedCell(CELL, seed=5, cache_dir=cache)
-    links = (world.arm_link, world.laser_link, world.probe_link)
-    devices = make_devices(cell, world.clock, *links, keep_alive_thread=False)  # type: ignore[arg-type]
+    devices = make_devices(cell, world.ports, world.clock, keep_alive_thread=False)
     for device in devices.all():
         device.connect()
     yield Rig(world, cell, devices)

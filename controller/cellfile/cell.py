@@ -7,11 +7,12 @@ from pathlib import Path
 
 from pydantic import Field, PrivateAttr
 
-from controller.cellfile.devices import Laser, Probe, Robot
+from controller.cellfile.devices import Laser, Probe
 from controller.cellfile.job import Job
 from controller.cellfile.lines import KeyPath, LineIndex
 from controller.cellfile.mistakes import Mistake, Source
 from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
+from controller.cellfile.robots import Robot
 from controller.cellfile.tables import Name, Placement, Table
 
 
@@ -86,19 +87,6 @@ class Cell(Table):
     def cad_path(self) -> Path:
         """The CAD file of the part, absolute."""
         return self.directory / self.part.cad
-
-    @property
-    def robot_port(self) -> str:
-        """Port of the robot: an absolute path, or the name of a socketcan interface."""
-        return self.robot.port if self.robot.interface == "socketcan" else self._absolute(self.robot.port)
-
-    @property
-    def laser_port(self) -> str:
-        """Port of the laser: an absolute path."""
-        return self._absolute(self.laser.port)
-
-    def _absolute(self, port: str) -> str:
-        return str(self.directory / port)
 
     @property
     def placements(self) -> tuple[Placement, ...]:

@@ -5,16 +5,18 @@ order by themselves: a mistake in one table does not hide those in another.
 """
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from controller.cellfile import job_checks, part_checks
+from controller.cellfile.arm import Arm
 from controller.cellfile.cell import Header
-from controller.cellfile.devices import Laser, Probe, Robot
+from controller.cellfile.devices import Laser, Probe
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import Mistake, Source, nearest
 from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
+from controller.cellfile.robots import CanopenRobot
 from controller.cellfile.tables import Placement
 from controller.quantities import format_angle, format_duration, format_frequency, format_length
 
@@ -50,45 +52,33 @@ def patience(cell: Header) -> Iterator[Finding]:
         yield ("cell", "patience"), f"{cell.patience:g} for real devices", "write 1, or simulated = true"
 
 
-def joints(robot: Robot) -> Iterator[Finding]:
-    """Nodes, limits and start of the joints."""
-    for key, values in (("nodes", robot.nodes), ("start_joints", robot.start_joints_rad)):
-        if len(values) != len(robot.joints):
-            yield (
-                ("robot", key),
-                f"{len(values)} values for {len(robot.joints)} joints",
-                f"write {len(robot.joints)}",
-            )
-    for position, node in enumerate(robot.nodes):
-        if node in robot.nodes[:position]:
-            first = robot.nodes.index(node) + 1
-            yield (
-                ("robot", "nodes", position),
-                f"joint {first} has this node too",
-                "give each drive its own node",
-            )
+def joints(robot: Arm) -> Iterator[Finding]:
+    """Limits and start of the joints."""
+    if len(robot.start_joints_rad) != len(robot.joints):
+        yield _one_for_each_joint("start_joints", robot.start_joints_rad, robot)
     for index, joint in enumerate(robot.joints):
         lower, upper = joint.limits_rad
-        path = ("robot", "joints", index, "limits")
         if lower >= upper:
-            yield path, "the lower limit is not below the upper", "swap them, or correct one"
+            yield (
+                ("robot", "joints", index, "limits"),
+                "the lower limit is not below the upper",
+                "swap them, or correct one",
+            )
         elif index < len(robot.start_joints_rad) and not lower <= robot.start_joints_rad[index] <= upper:
             yield (
                 ("robot", "start_joints", index),
                 f"outside the limits of joint {index + 1}",
                 f"write {format_angle(lower)} to {format_angle(upper)}",
             )
-        counts = max(abs(lower), abs(upper)) / robot.encoder_step_rad
-        if counts >= DRIVE_COUNTS:
-            yield (
-                path,
-                f"{counts:.3g} encoder steps",
-                f"a drive counts to {DRIVE_COUNTS - 1}; check encoder_step",
-            )
 
 
-def encoder(robot: Robot) -> Iterator[Finding]:
-    """One count, against a turn and against the windows that are judged in counts."""
+def _one_for_each_joint(key: str, values: Sequence[object], robot: Arm) -> Finding:
+    count = len(robot.joints)
+    return ("robot", key), f"{len(values)} values for {count} joints", f"write {count}"
+
+
+def encoder(robot: Arm) -> Iterator[Finding]:
+    """The smallest step of a reading, against a turn and against the window that is judged with it."""
     counts = FULL_TURN_RAD / robot.encoder_step_rad
     if abs(counts - round(counts)) > 1e-3:
         nearest = format_angle(FULL_TURN_RAD / round(counts))
@@ -103,6 +93,30 @@ def encoder(robot: Robot) -> Iterator[Finding]:
             f"smaller than one encoder step ({format_angle(robot.encoder_step_rad)})",
             "write at least that",
         )
+
+
+def drives(robot: Arm) -> Iterator[Finding]:
+    """The CiA 402 drives of an arm: nodes, counts, and SYNC against the time to settle."""
+    if not isinstance(robot, CanopenRobot):
+        return
+    if len(robot.nodes) != len(robot.joints):
+        yield _one_for_each_joint("nodes", robot.nodes, robot)
+    for position, node in enumerate(robot.nodes):
+        if node in robot.nodes[:position]:
+            first = robot.nodes.index(node) + 1
+            yield (
+                ("robot", "nodes", position),
+                f"joint {first} has this node too",
+                "give each drive its own node",
+            )
+    for index, joint in enumerate(robot.joints):
+        counts = max(abs(limit) for limit in joint.limits_rad) / robot.encoder_step_rad
+        if counts >= DRIVE_COUNTS:
+            yield (
+                ("robot", "joints", index, "limits"),
+                f"{counts:.3g} encoder steps",
+                f"a drive counts to {DRIVE_COUNTS - 1}; check encoder_step",
+            )
     if robot.settle_time_s < robot.sync_period_s:
         yield (
             ("robot", "settle_time"),
@@ -111,8 +125,10 @@ def encoder(robot: Robot) -> Iterator[Finding]:
         )
 
 
-def can_bus(robot: Robot) -> Iterator[Finding]:
+def can_bus(robot: Arm) -> Iterator[Finding]:
     """Whether dongle and bus can carry a joint reading of all drives at each SYNC."""
+    if not isinstance(robot, CanopenRobot):
+        return
     answers = 1 + len(robot.joints)
     if robot.interface == "slcan":
         frames_per_s = answers * SLCAN_MARGIN / robot.sync_period_s
@@ -132,15 +148,17 @@ def can_bus(robot: Robot) -> Iterator[Finding]:
         )
 
 
-def interface(robot: Robot) -> Iterator[Finding]:
+def interface(robot: Arm) -> Iterator[Finding]:
     """The port fits the kind of interface."""
-    if robot.interface == "socketcan" and "/" in robot.port:
+    if isinstance(robot, CanopenRobot) and robot.interface == "socketcan" and "/" in robot.port:
         yield ("robot", "port"), "a path, but the interface is socketcan", 'write its name, such as "can0"'
 
 
-def ports(robot: Robot, laser: Laser, source: Source) -> Iterator[Finding]:
+def ports(robot: Arm, laser: Laser, source: Source) -> Iterator[Finding]:
     """One device on each port."""
-    if robot.interface == "slcan" and Path(robot.port) == Path(laser.port):
+    if not isinstance(robot, CanopenRobot) or robot.interface != "slcan":
+        return
+    if Path(robot.port) == Path(laser.port):
         line = source.index.line_of(("robot", "port"))
         yield ("laser", "port"), f"the robot is on this port (line {line})", "give each device its own port"
 
@@ -245,6 +263,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     patience,
     joints,
     encoder,
+    drives,
     can_bus,
     interface,
     ports,

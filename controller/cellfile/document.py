@@ -41,9 +41,21 @@ def document() -> str:
     tables = "".join(
         section
         for name, node in schema()["properties"].items()
-        for section in _tables(f"[{name}]", resolved(node))
+        for section in _sections(f"[{name}]", resolved(node))
     )
     return f"{INTRODUCTION}{units}{tables}"
+
+
+def _sections(header: str, node: dict[str, Any]) -> Iterator[str]:
+    """The sections of a table, or those of each table of a union, one after the other."""
+    if "oneOf" not in node:
+        yield from _tables(header, node)
+        return
+    tags = node["discriminator"]
+    for tag, reference in tags["mapping"].items():
+        first, *others = _tables(header, resolved({"$ref": reference}))
+        yield first.replace(f"`{header}`", f'`{header}` with `{tags["propertyName"]} = "{tag}"`', 1)
+        yield from others
 
 
 def _tables(header: str, node: dict[str, Any]) -> Iterator[str]:
@@ -54,13 +66,8 @@ def _tables(header: str, node: dict[str, Any]) -> Iterator[str]:
         below = header.strip("[]") + f".{key}"
         if (table := resolved(value)).get("type") == "object":
             inner.append((f"[{below}]", table))
-        elif (table := resolved(value.get("items", {}))).get("type") == "object":
+        elif (table := resolved(value.get("items", {}))).get("type") == "object" or "oneOf" in table:
             inner.append((f"[[{below}]]", table))
-        elif "oneOf" in table:
-            variants = table["discriminator"]["mapping"].items()
-            inner += [
-                (f'[[{below}]] with kind = "{kind}"', resolved({"$ref": ref})) for kind, ref in variants
-            ]
         else:
             default = "required" if key in required else _default(value)
             rows += f"| `{key}` | {_type(value)} | {_meaning(value)} | {default} |\n"
@@ -69,14 +76,7 @@ def _tables(header: str, node: dict[str, Any]) -> Iterator[str]:
     if rows:
         yield f"\n| Key | Value | Meaning | Default |\n| --- | --- | --- | --- |\n{rows}"
     for name, table in inner:
-        yield from _tables(name, table) if " with " not in name else _variant(name, table)
-
-
-def _variant(name: str, table: dict[str, Any]) -> Iterator[str]:
-    header, _, kind = name.partition(" with ")
-    first, *others = _tables(header, table)
-    yield first.replace(f"`{header}`", f"`{header}` with `{kind}`", 1)
-    yield from others
+        yield from _sections(name, table)
 
 
 def _meaning(node: dict[str, Any]) -> str:

@@ -109,7 +109,10 @@ def _path_in_file(location: tuple[int | str, ...], source: Source) -> KeyPath:
         here = source.value(path)
         is_last = position == len(location) - 1
         is_tag = (
-            isinstance(step, str) and isinstance(here, dict) and step not in here and step == here.get("kind")
+            isinstance(step, str)
+            and isinstance(here, dict)
+            and step not in here
+            and step in (here.get("kind"), here.get("driver"))
         )
         if not is_tag or (is_last and step in _keys(path, source)):
             path += (step,)
@@ -123,16 +126,20 @@ def _node_at(path: KeyPath, source: Source) -> dict[str, Any]:
         if isinstance(step, int):
             items = node.get("prefixItems")
             node = resolved((items[step] if step < len(items) else {}) if items else node.get("items", {}))
-            if "oneOf" in node:
-                element = source.value(path[: position + 1])
-                tag = element.get("kind") if isinstance(element, dict) else None
-                mapping = node["discriminator"]["mapping"]
-                node = resolved({"$ref": mapping[tag]}) if isinstance(tag, str) and tag in mapping else node
         else:
             node = resolved(node.get("properties", {}).get(step, {}))
+        if "oneOf" in node:
+            node = _chosen(node, source.value(path[: position + 1]))
         if "anyOf" in node:  # optional
             node = resolved(node["anyOf"][0])
     return node
+
+
+def _chosen(union: dict[str, Any], table: object) -> dict[str, Any]:
+    """Schema of the table that `kind` or `driver` chooses; the union itself if they choose none."""
+    tags, mapping = union["discriminator"], union["discriminator"]["mapping"]
+    tag = table.get(tags["propertyName"]) if isinstance(table, dict) else None
+    return resolved({"$ref": mapping[tag]}) if isinstance(tag, str) and tag in mapping else union
 
 
 def _keys(path: KeyPath, source: Source) -> list[str]:

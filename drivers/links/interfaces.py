@@ -1,4 +1,4 @@
-"""The three kinds of link that drivers speak through: bytes, CAN frames, and request-reply.
+"""The kinds of link that drivers speak through, bytes and CAN frames, and where links come from.
 
 A real port and the deterministic cell both provide these; a driver cannot tell them apart.
 """
@@ -52,3 +52,19 @@ class CanLink(Protocol):
 
     def close(self) -> None:
         """Release the port; safe twice."""
+
+
+class Ports(Protocol):
+    """Where links come from: the ports of this computer, or the deterministic cell. None is open yet.
+
+    `name` says what the link is for, such as "robot" or "laser"; two links of one device have two names.
+    """
+
+    def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> CanLink:
+        """A CAN bus behind an "slcan" dongle or a "socketcan" interface."""
+
+    def serial(self, name: str, port: str, baud: int, framing: str = "8N1") -> ByteLink:
+        """A serial line; `framing` is data bits, parity (N, E, O) and stop bits."""
+
+    def tcp(self, name: str, host: str, port: int) -> ByteLink:
+        """A TCP connection."""

@@ -25,13 +25,14 @@ WRITE_TIMEOUT_S: Final = 1.0
 
 
 class SerialLink:
-    """8N1 without handshake, for one user at a time; a thread empties the port so that nothing is lost.
+    """A line without handshake, for one user at a time; a thread empties the port so that nothing is lost.
 
+    `framing` is data bits, parity (N, E, O) and stop bits, as in "8N1".
     The port is opened by `reopen`, not before.
     """
 
-    def __init__(self, port: str, baud: int) -> None:
-        self.port, self.baud = port, baud
+    def __init__(self, port: str, baud: int, framing: str = "8N1") -> None:
+        self.port, self.baud, self._framing = port, baud, framing
         self._serial: serial.Serial | None = None
         self._reader: threading.Thread | None = None
         self._draining = threading.Lock()  # reads and flushes of the port exclude each other
@@ -44,8 +45,16 @@ class SerialLink:
         """Close and open again. Raises DeviceError naming the port and the remedy."""
         self.close()
         try:
+            data_bits, parity, stop_bits = tuple(self._framing)
             port = serial.Serial(
-                self.port, self.baud, timeout=READ_SLICE_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
+                self.port,
+                self.baud,
+                bytesize=int(data_bits),
+                parity=parity,
+                stopbits=int(stop_bits),
+                timeout=READ_SLICE_S,
+                write_timeout=WRITE_TIMEOUT_S,
+                exclusive=True,
             )
         except (*PORT_ERRORS, ValueError) as error:
             raise opening_failed(self.port, error) from error

@@ -1,20 +1,19 @@
-"""Six drives on one CAN bus: the arm as its master sees it, and where its joints truly are."""
+"""Six drives on one CAN bus: the arm as its master sees it."""
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from estimation.transform import FloatArray
 from simulators.robots.drive import Drive, DriveSettings
+from simulators.robots.mechanism import MechanicalArm, reading_noise
 from simulators.world.world_file import ArmSpec
 
 COUNT_RAD: Final = math.pi / 180 / 1000  # the arm counts thousandths of a degree
 DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts: all answers to a SYNC come together
 REPLY_S: Final = 0.0004  # an SDO server thinks
-NOISE_BLOCK: Final = 4096
 
 
 class Frame(NamedTuple):
@@ -25,7 +24,7 @@ class Frame(NamedTuple):
     time_s: float = 0.0
 
 
-class SimulatedArm:
+class SimulatedArm(MechanicalArm):
     """The bus end of the arm. Time only moves forward, by `advance` or with a frame from the master.
 
     `noise_factors` (n,) multiply the noise of each joint's readings; `motion_speed` shortens fast moves.
@@ -44,7 +43,7 @@ class SimulatedArm:
         self._motion_speed = motion_speed
         factors = np.ones(len(spec.nodes)) if noise_factors is None else np.asarray(noise_factors)
         self.drives = [self._drive(joint, float(factors[joint])) for joint in range(len(spec.nodes))]
-        self._motions = [drive.motion for drive in self.drives]
+        super().__init__([drive.motion for drive in self.drives], COUNT_RAD)
         self._by_node = dict(zip(spec.nodes, self.drives, strict=True))
         self._next_event_s = math.inf
         self._receivers: dict[int, Drive] = {}
@@ -65,17 +64,8 @@ class SimulatedArm:
             boot_time_s=spec.boot_time_s,
         )
         start = float(spec.start_joints_rad[joint]) / COUNT_RAD
-        return Drive(settings, start, self._noise(noise_factor * spec.noise_rad / COUNT_RAD), self._emit)
-
-    def _noise(self, sigma_counts: float) -> Callable[[], float]:
-        """Noise of one joint's readings, drawn in blocks because one by one is slow."""
-        rng = self._rng.spawn(1)[0]
-
-        def draws() -> Iterator[float]:
-            while True:
-                yield from (rng.standard_normal(NOISE_BLOCK) * sigma_counts).tolist()
-
-        return draws().__next__
+        noise = reading_noise(self._rng, noise_factor * spec.noise_rad / COUNT_RAD)
+        return Drive(settings, start, noise, self._emit)
 
     # -- bus -------------------------------------------------------------------------------------
 
@@ -184,25 +174,3 @@ class SimulatedArm:
         self.advance(time_s)
         self.drives[joint].fault(code, 0x21)
         self._schedule()
-
-    # -- what is true ----------------------------------------------------------------------------
-
-    def joints_at(self, time_s: float) -> FloatArray:
-        """True joint angles (n,) at any instant up to the present, rad."""
-        counts = [motion.position(time_s) for motion in self._motions]
-        return np.array(counts) * COUNT_RAD
-
-    def standstill(self, time_s: float) -> tuple[int, ...] | None:
-        """Which standstill this instant belongs to; None while a joint moves."""
-        if any(drive.motion.moving(time_s) for drive in self.drives):
-            return None
-        return tuple([drive.motion.phase_number(time_s) for drive in self.drives])
-
-    def course(self, time_s: float) -> tuple[list[float], list[float], float]:
-        """Speeds and accelerations (n,) then, rad/s and rad/s^2; until when the latter hold, as known now."""
-        speeds, accelerations, ends = zip(*[motion.course(time_s) for motion in self._motions], strict=True)
-        return [v * COUNT_RAD for v in speeds], [a * COUNT_RAD for a in accelerations], min(ends)
-
-    def plans(self) -> int:
-        """Changes whenever the plan of any joint does."""
-        return sum([motion.plans for motion in self._motions])

@@ -72,8 +72,6 @@ def test_a_good_cell_is_accepted_by_file_and_by_folder(good: Cell, folder: Path)
     assert good.path == folder / "cell.toml"
     assert good.text == GOOD_TEXT
     assert good.cad_path == folder / "block.step"
-    assert good.robot_port == str(folder / "run" / "arm")
-    assert good.laser_port == str(folder / "run" / "laser")
 
 
 def test_there_are_at_least_fifty_bad_cells_of_different_kinds() -> None:

@@ -49,14 +49,7 @@ class DeterministicCell:
         self.sent_can_ids: list[int] = []
         self._log_can_ids()
         self.store = Store.open(self.store_path, durable=False, clock=self.world.clock)
-        self.devices = make_devices(
-            self.cell,
-            self.world.clock,
-            self.world.arm_link,
-            self.world.laser_link,
-            self.world.probe_link,
-            keep_alive_thread=False,
-        )
+        self.devices = make_devices(self.cell, self.world.ports, self.world.clock, keep_alive_thread=False)
         self.job = CellJob(self.cell, self.devices, self.store, self.world.clock, "test")
         reopened = self.store.last_open_run() is not None
         self.engine = Engine(

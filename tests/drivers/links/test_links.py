@@ -2,6 +2,7 @@
 
 import socket
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import can
@@ -10,6 +11,7 @@ import pytest
 
 from drivers.clock import RealClock
 from drivers.links.can_bus import PythonCanLink
+from drivers.links.ports import RealPorts
 from drivers.links.serial_port import SerialLink
 from drivers.links.tcp import TcpLink
 from drivers.probes.adam6052 import AdamProbe, ProbeConfig
@@ -237,3 +239,12 @@ def test_bus_off_and_stray_frames_on_socketcan() -> None:
     assert "termination" in error.value.remedy.lower()
     assert link.bad_frames == 2
     link.close()
+
+
+def test_ports_are_found_from_the_folder_of_the_cell_file() -> None:
+    ports = RealPorts(Path("/cell"), RealClock())
+    assert ports.serial("laser", "run/laser", 9600).port == "/cell/run/laser"
+    assert ports.serial("laser", "/dev/ttyUSB0", 9600).port == "/dev/ttyUSB0"
+    assert ports.serial("laser", "COM3", 9600).port == "COM3"
+    assert ports.can_bus("robot", "slcan", "run/arm", 1_000_000).port == "/cell/run/arm"
+    assert ports.can_bus("robot", "socketcan", "can0", 1_000_000).port == "can0"

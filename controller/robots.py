@@ -1,0 +1,51 @@
+"""The driver of a robot, from its table in the cell file."""
+
+import math
+from typing import Final
+
+from controller.cellfile.robots import CanopenRobot, Robot
+from drivers import capabilities
+from drivers.clock import Clock
+from drivers.links.interfaces import Ports
+from drivers.robots.canopen_arm import CanopenArm
+from drivers.robots.canopen_arm_setup import ArmConfig
+
+# How long each link may be silent; times `patience` where simulated devices share a busy computer.
+HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
+MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
+LATEST_ANSWER_S: Final = 0.02  # to a SYNC
+SDO_TIMEOUT_S: Final = 0.3
+SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
+
+
+def make_robot(
+    robot: Robot, ports: Ports, clock: Clock, *, patience: float = 1.0, keep_alive_thread: bool = True
+) -> capabilities.Robot:
+    """The driver of a robot, not connected yet."""
+    return _canopen(robot, ports, clock, patience, keep_alive_thread)
+
+
+def _canopen(
+    robot: CanopenRobot, ports: Ports, clock: Clock, patience: float, keep_alive_thread: bool
+) -> CanopenArm:
+    silence_s = SILENCE_S * patience
+    config = ArmConfig(
+        node_ids=robot.nodes,
+        lower_rad=tuple(joint.limits_rad[0] for joint in robot.joints),
+        upper_rad=tuple(joint.limits_rad[1] for joint in robot.joints),
+        speed_limit_rad_s=(robot.speed_rad_s,) * len(robot.joints),
+        acceleration_limit_rad_s2=(robot.acceleration_rad_s2,) * len(robot.joints),
+        in_position_rad=robot.in_position_rad,
+        sync_period_s=robot.sync_period_s,
+        cruise_sync_period_s=robot.cruise_sync_period_s,
+        counts_per_rad=1.0 / robot.encoder_step_rad,
+        most_missed_syncs=max(3, math.ceil(silence_s / (2.0 * robot.sync_period_s))),  # each costs two
+        sync_timeout_factor=min(255, max(3, math.ceil(silence_s / robot.sync_period_s))),
+        latest_answer_s=LATEST_ANSWER_S * patience,
+        heartbeat_timeout_s=HEARTBEAT_TIMEOUT_S * patience,
+        master_timeout_s=MASTER_TIMEOUT_S * patience,
+        sdo_timeout_s=SDO_TIMEOUT_S * patience,
+        model=robot.model,
+    )
+    link = ports.can_bus("robot", robot.interface, robot.port, robot.bitrate)
+    return CanopenArm(link, config, clock, keep_alive_thread=keep_alive_thread)
