@@ -6,47 +6,24 @@ are matched by transaction number, unit, function and length.
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
 from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
+from drivers.links.modbus import BUSY_CODES, ModbusClient, refusal
 from estimation.errors import DeviceError, DeviceTimeout, FrameError
 
 HEADER_BYTES: Final = 7
 MOST_BYTES: Final = 260
-BUSY_CODES: Final = (0x05, 0x06)
 BUSY_RETRIES: Final = 3
 BUSY_PAUSE_S: Final = 0.05
-SETTINGS_CODES: Final = (0x01, 0x02, 0x03)
-
-_EXCEPTION_WORDS: Final[Mapping[int, str]] = {
-    0x01: "illegal function",
-    0x02: "illegal address",
-    0x03: "illegal value",
-    0x04: "device failure",
-    0x05: "acknowledged, still working",
-    0x06: "busy",
-    0x08: "memory parity error",
-    0x0A: "no gateway path",
-    0x0B: "no answer behind the gateway",
-}
 
 
-class ModbusRefusal(DeviceError):
-    """The device answered with an exception; `code` is its number."""
-
-    def __init__(self, problem: str, remedy: str, code: int = 0) -> None:
-        super().__init__(problem, remedy)
-        self.code = code
-
-
-class ModbusTcp:
+class ModbusTcp(ModbusClient):
     """A client of one unit. `on_resync` is called after the silence that follows a timeout."""
 
     def __init__(
@@ -61,6 +38,7 @@ class ModbusTcp:
         silence_s: float = 0.05,
         on_resync: Callable[[], None] | None = None,
     ) -> None:
+        super().__init__()
         self._link, self._clock, self._name, self._unit = link, clock, name, unit
         self._reply_timeout_s, self._tries, self._silence_s = reply_timeout_s, tries, silence_s
         self._on_resync = on_resync
@@ -68,47 +46,21 @@ class ModbusTcp:
         self._framer = FramerSocket(decoder)
         # A touch asks the same thing hundreds of times, and is told the same until it is one.
         self._decode = functools.lru_cache(maxsize=16)(decoder.decode)
-        self._requests: dict[tuple[type[ModbusPDU], int, int], Any] = {}
         self._transactions = itertools.cycle(range(1, 0x10000))
         self._received = b""
-        self._out_of_step = False
-        self.frames = self.bad_frames = self.timeouts = 0
-        self.sent_s = self.received_s = 0.0  # of the last transaction
+        self._out_of_step = self._resynchronising = False
 
     def reset(self) -> None:
         """Forget what was received: after the link was opened."""
         self._received, self._out_of_step = b"", False
 
-    def read_inputs(self, address: int, count: int) -> list[bool]:
-        """FC 2, discrete inputs from a 0-based address."""
-        request = self._request(ReadDiscreteInputsRequest, address, count)
-        reply = self._ask(request, 1 + (count + 7) // 8)
-        return [bool(bit) for bit in reply.bits[:count]]
-
-    def read_input_registers(self, address: int, count: int) -> list[int]:
-        """FC 4, input registers from a 0-based address."""
-        request = self._request(ReadInputRegistersRequest, address, count)
-        return list(self._ask(request, 1 + 2 * count).registers)
-
-    def read_holding_registers(self, address: int, count: int, tries: int | None = None) -> list[int]:
-        """FC 3, holding registers from a 0-based address."""
-        request = self._request(ReadHoldingRegistersRequest, address, count)
-        return list(self._ask(request, 1 + 2 * count, tries).registers)
-
-    def _request(self, kind: type[ModbusPDU], address: int, count: int) -> Any:
-        key = kind, address, count
-        if key not in self._requests:
-            self._requests[key] = kind(address=address, count=count)
-        return self._requests[key]
-
-    def _ask(self, request: Any, payload_bytes: int, tries: int | None = None) -> ModbusPDU:
-        """One answered request. Raises DeviceTimeout, FrameError, ModbusRefusal."""
+    def _ask(self, request: Any, head: bytes, length: int) -> ModbusPDU:
         busy = 0
         failures = list[DeviceError]()
-        while len(failures) < (tries or self._tries):
+        while len(failures) < (1 if self._resynchronising else self._tries):
             try:
                 self._resynchronise()
-                reply = self._exchange(request, payload_bytes)
+                reply = self._exchange(request, head, length)
             except (DeviceTimeout, FrameError) as failure:
                 self._out_of_step = True
                 failures.append(failure)
@@ -116,31 +68,36 @@ class ModbusTcp:
             if not reply.isError():
                 return reply
             if reply.exception_code not in BUSY_CODES or busy == BUSY_RETRIES:
-                raise self._refusal(request, reply.exception_code)
+                raise refusal(self._name, request, reply.exception_code)
             busy += 1
             self._clock.sleep(BUSY_PAUSE_S)
         raise failures[-1]
 
     def _resynchronise(self) -> None:
         """After a timeout: silence until nothing comes any more, then prove who answers."""
-        if not self._out_of_step:
+        if not self._out_of_step or self._resynchronising:
             return
         deadline_s = self._clock.now_s() + 4 * self._silence_s
         while self._link.read(self._silence_s):
             if self._clock.now_s() > deadline_s:
                 raise FrameError(f"{self._name} sends without being asked", "Reset the connection")
-        self._received, self._out_of_step = b"", False
+        self._received = b""
         if self._on_resync is not None:
-            self._on_resync()
+            self._resynchronising = True
+            try:
+                self._on_resync()
+            finally:
+                self._resynchronising = False
+        self._out_of_step = False
 
-    def _exchange(self, request: Any, payload_bytes: int) -> ModbusPDU:
+    def _exchange(self, request: Any, head: bytes, length: int) -> ModbusPDU:
         request.dev_id, request.transaction_id = self._unit, next(self._transactions)
         self.sent_s = now = self._clock.now_s()
         deadline_s = now + self._reply_timeout_s
         self._link.write(self._framer.buildFrame(request))
         while True:
             while (frame := self._next_frame()) is not None:
-                reply = self._matching(frame, request, payload_bytes)
+                reply = self._matching(frame, request, head, length)
                 if reply is not None:
                     self.received_s = self._clock.now_s()
                     self.frames += 1
@@ -171,7 +128,9 @@ class ModbusTcp:
         self._received = head[used:]
         return transaction, unit, pdu
 
-    def _matching(self, frame: tuple[int, int, bytes], request: Any, payload_bytes: int) -> ModbusPDU | None:
+    def _matching(
+        self, frame: tuple[int, int, bytes], request: Any, head: bytes, length: int
+    ) -> ModbusPDU | None:
         """The reply in this frame; None if it answers something else."""
         transaction, unit, pdu = frame
         if transaction != request.transaction_id:
@@ -182,25 +141,13 @@ class ModbusTcp:
             problem = f"{self._name}: reply from unit {unit} while asking {self._unit}"
         elif pdu[0] & 0x7F != function:
             problem = f"{self._name}: reply to function {pdu[0] & 0x7F} while asking {function}"
-        elif pdu[0] == function and (len(pdu) != 1 + payload_bytes or pdu[1] != payload_bytes - 1):
-            problem = f"{self._name}: reply of {len(pdu)} bytes instead of {1 + payload_bytes}"
+        elif pdu[0] == function and len(pdu) != length:
+            problem = f"{self._name}: reply of {len(pdu)} bytes instead of {length}"
+        elif pdu[0] == function and not pdu.startswith(head):
+            problem = f"{self._name}: reply begins with {pdu[: len(head)].hex(' ')}, not {head.hex(' ')}"
         elif (reply := self._decode(pdu)) is None:
             problem = f"{self._name}: unreadable reply {pdu.hex(' ')}"
         else:
             return reply
         self.bad_frames += 1
         raise FrameError(problem, "Check that only this controller talks to the device")
-
-    def _refusal(self, request: Any, code: int) -> ModbusRefusal:
-        words = _EXCEPTION_WORDS.get(code, "unknown exception")
-        remedy = "Wait, then reset"
-        if code in SETTINGS_CODES:
-            remedy = "Correct the addresses in the cell file: this device has no such register"
-        elif code not in BUSY_CODES:
-            remedy = "Check the device, then reset"
-        return ModbusRefusal(
-            f"{self._name} refused function {request.function_code} at address {request.address}: "
-            f"{words} ({code:02X})",
-            remedy,
-            code,
-        )

@@ -151,10 +151,10 @@ class AdamProbe:
         low, high = self._modbus.read_input_registers(address, 2)
         return high << 16 | low
 
-    def _check_name(self, tries: int | None = None) -> str:
+    def _check_name(self) -> str:
         """The module name is two registers, and holds the model number as hexadecimal digits or as text."""
         address = MODULE_NAME + self._config.address_offset
-        registers = self._modbus.read_holding_registers(address, 2, tries)
+        registers = self._modbus.read_holding_registers(address, 2)
         wanted = "".join(c for c in self._config.model if c.isdigit())
         text = struct.pack(">2H", *registers).decode("ascii", errors="replace").strip("\0 ")
         if wanted and wanted not in (f"{registers[0]:04X}", f"{registers[1]:04X}", text):
@@ -167,7 +167,7 @@ class AdamProbe:
     def _after_timeout(self) -> None:
         """Part of the resynchronisation: the module that answers now is still the one that was asked."""
         if self._connected:
-            self._check_name(tries=1)
+            self._check_name()
 
     def _require_connection(self) -> None:
         if not self._connected:

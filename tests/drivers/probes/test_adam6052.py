@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.links.modbus_tcp import ModbusRefusal, ModbusTcp
+from drivers.links.modbus import ModbusRefusal
+from drivers.links.modbus_tcp import ModbusTcp
 from drivers.probes.adam6052 import AdamProbe, ProbeConfig
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from tests.drivers.fakes import FakeByteLink, VirtualClock
@@ -268,3 +269,42 @@ def test_a_lost_connection_is_told_and_connect_repairs_it() -> None:
     probe.connect()
     assert probe.is_open()
     assert probe.health().reconnects == 1
+
+
+@pytest.mark.parametrize(
+    ("ask", "request_", "reply"),
+    [
+        (lambda m: m.read_coils(16, 8), "01 0010 0008", "01 01 05"),
+        (lambda m: m.write_coil(17, True), "05 0011 FF00", "05 0011 FF00"),
+        (lambda m: m.write_register(0, 1), "06 0000 0001", "06 0000 0001"),
+        (lambda m: m.write_registers(302, [0x80, 7]), "10 012E 0002 04 0080 0007", "10 012E 0002"),
+    ],
+)
+def test_a_write_counts_once_the_reply_repeats_it(
+    ask: Callable[[ModbusTcp], object], request_: str, reply: str
+) -> None:
+    link = FakeByteLink(VirtualClock())
+    modbus = client(link)
+    pdu = bytearray.fromhex(reply)
+
+    def answer(request: bytes) -> None:
+        link.later(0.001, request[:4] + (1 + len(pdu)).to_bytes(2, "big") + request[6:7] + pdu)
+
+    link.on_write = answer
+    ask(modbus)
+    assert link.sent[-1][7:] == bytes.fromhex(request_)
+    pdu[1] += 1  # another address, or another number of bytes
+    with pytest.raises(FrameError, match="begins with"):
+        ask(modbus)
+
+
+def test_another_module_behind_the_connection_is_refused_until_the_right_one_is_back() -> None:
+    probe, link, _ = connected()
+    lost = iter([True])
+    link.tamper = lambda number, request, reply: (9.0 if next(lost, False) else 3e-4, reply)
+    link.name = (0x6050, 0)
+    for _ in range(2):
+        with pytest.raises(IdentityMismatch, match="6050"):
+            probe.is_open()
+    link.name = (0x6052, 0)
+    assert probe.is_open()
