@@ -2,47 +2,20 @@
 
 import contextlib
 import json
-import math
 import os
-import selectors
 import signal
 import socket
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from simulators.cell import CellModel
-from simulators.ports import PtyPort, TcpPort, garbled
+from simulators.outlets import Loop, SerialOutlet, TcpOutlet
 from simulators.probes.adam6052 import ModbusConnection
-from simulators.slcan import SlcanDongle, encode_frame
+from simulators.slcan import SlcanDevice
 
-LONGEST_WAIT_S: Final = 0.02
-LONGEST_STEP_S: Final = 0.03  # what passes beyond it, the machine was busy with something else
 DEVICES: Final = ("arm", "laser", "probe")
-
-
-class ForgivingClock:
-    """Real time less the time in which this process could not run.
-
-    Without it, a busy machine looks to the simulated drives like a silent master.
-    """
-
-    def __init__(self) -> None:
-        self._last_s = time.monotonic()
-        self._now_s = 0.0
-        self.stalled_s = 0.0
-
-    def tick(self, at_most_s: float) -> float:
-        """The present, at most so much later than at the last tick."""
-        real_s = time.monotonic()
-        passed_s, self._last_s = real_s - self._last_s, real_s
-        granted_s = min(passed_s, at_most_s)
-        self.stalled_s += passed_s - granted_s
-        self._now_s += granted_s
-        return self._now_s
 
 
 class CellServer:
@@ -54,30 +27,25 @@ class CellServer:
     def __init__(self, model: CellModel, run_dir: Path, probe_port: int | None = None) -> None:
         wires = model.file.wires
         self._model, self._run_dir = model, run_dir
-        self._clock = ForgivingClock()
-        self._now_s = 0.0
-        self._running = True
+        self._loop = loop = Loop(model.contact.update)
         run_dir.mkdir(parents=True, exist_ok=True)
-        self._arm_port = PtyPort(run_dir / wires.arm)
-        self._laser_port = PtyPort(run_dir / wires.laser)
-        self._probe_port = TcpPort(wires.probe_host, wires.probe_port if probe_port is None else probe_port)
-        self._ports: dict[str, PtyPort | TcpPort] = dict(
-            zip(DEVICES, (self._arm_port, self._laser_port, self._probe_port), strict=True)
-        )
-        self._silent_until_s = dict.fromkeys(DEVICES, -math.inf)
-        self._dongle = SlcanDongle()
-        self._clients: dict[socket.socket, ModbusConnection] = {}
-        self._selector = selectors.SelectSelector()  # to the microsecond; epoll waits whole milliseconds
+        arm = SerialOutlet(loop, run_dir / wires.arm, lambda: SlcanDevice(model.arm))
+        laser = SerialOutlet(loop, run_dir / wires.laser, lambda: model.laser, lambda: model.laser.baud)
+        port = wires.probe_port if probe_port is None else probe_port
+        probe = TcpOutlet(loop, wires.probe_host, port, lambda: ModbusConnection(model.probe))
+        self._outlets: dict[str, SerialOutlet | TcpOutlet] = {"arm": arm, "laser": laser, "probe": probe}
+        self._where = {
+            "arm": str(arm.port.path),
+            "laser": str(laser.port.path),
+            "probe": [probe.port.host, probe.port.port],
+        }
         self._control_path = run_dir / "simulator.sock"
         self._control_path.unlink(missing_ok=True)
         self._control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._control.bind(_short(self._control_path))
         self._control.listen()
         self._control.setblocking(False)
-        self._watch(self._control, self._accept_control)
-        self._watch_ports()
-
-    # -- loop ------------------------------------------------------------------------------------
+        loop.watch(self._control, self._accept_control)
 
     def describe(self) -> dict[str, Any]:
         """Who we are and where the devices are; also written to simulator.json."""
@@ -85,138 +53,23 @@ class CellServer:
             "pid": os.getpid(),
             "seed": self._model.truth.seed,
             "scenario": self._model.scenario.name,
-            "arm": str(self._arm_port.path),
-            "laser": str(self._laser_port.path),
-            "probe": [self._probe_port.host, self._probe_port.port],
+            **self._where,
             "control": str(self._control_path),
         }
 
     def run(self) -> None:
         """Serve until `quit`, SIGTERM or SIGINT."""
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self._quit())
+            signal.signal(number, lambda *_: self._loop.quit())
         _write_json(self._run_dir / "truth.json", self._model.truth_json())
         _write_json(self._run_dir / "simulator.json", self.describe())
         print("ready", flush=True)
         try:
-            while self._running:
-                self._step()
+            self._loop.run()
         finally:
-            self._close()
-
-    def _step(self) -> None:
-        due_s = min(
-            self._model.arm.next_output_s(),
-            self._model.laser.next_output_s() if self._laser_port.plugged else math.inf,
-            *[connection.next_output_s() for connection in self._clients.values()],
-        )
-        wait_s = min(max(due_s - self._now_s, 0.0), LONGEST_WAIT_S)
-        events = self._selector.select(wait_s)
-        self._now_s = self._clock.tick(LONGEST_STEP_S)
-        for key, _ in events:
-            key.data()
-        # Followed as it goes: a probe that is asked after a minute of motion must answer at once.
-        self._model.contact.update(self._now_s)
-        self._serve_arm_output()
-        self._serve_laser_output()
-        self._serve_probe_output()
-
-    def _quit(self) -> None:
-        self._running = False
-
-    def _close(self) -> None:
-        for port in self._ports.values():
-            port.unplug()
-        for client in self._clients:
-            client.close()
-        self._control.close()
-        for name in ("simulator.sock", "simulator.json"):
-            (self._run_dir / name).unlink(missing_ok=True)
-
-    def _watch(self, thing: Any, action: Callable[[], None]) -> None:
-        self._selector.register(thing, selectors.EVENT_READ, action)
-
-    def _watch_ports(self) -> None:
-        actions = (self._arm_input, self._laser_input, self._accept_probe)
-        for port, action in zip(self._ports.values(), actions, strict=True):
-            if port.plugged and port.fileno() not in self._selector.get_map():
-                self._watch(port, action)
-
-    def _silent(self, device: str) -> bool:
-        return self._now_s < self._silent_until_s[device]
-
-    # -- arm -------------------------------------------------------------------------------------
-
-    def _arm_input(self) -> None:
-        answers = self._dongle.receive(self._arm_port.read())
-        for can_id, data in self._dongle.sent:
-            self._model.arm.receive(can_id, data, self._now_s)
-        self._dongle.sent.clear()
-        if answers:
-            self._arm_port.write(answers)
-
-    def _serve_arm_output(self) -> None:
-        lines = []
-        while (frame := self._model.arm.take(self._now_s)) is not None:
-            lines.append(encode_frame(frame))
-        if lines and self._dongle.open and self._arm_port.plugged and not self._silent("arm"):
-            self._arm_port.write(b"".join(lines))
-
-    # -- laser -----------------------------------------------------------------------------------
-
-    def _wrong_baud(self) -> bool:
-        return self._laser_port.client_baud() != self._model.laser.baud
-
-    def _laser_input(self) -> None:
-        data = self._laser_port.read()
-        if data:
-            data = garbled(data) if self._wrong_baud() else data
-            self._model.laser.receive(data, self._now_s)
-
-    def _serve_laser_output(self) -> None:
-        laser = self._model.laser
-        if laser.next_output_s() > self._now_s:
-            return
-        if not self._laser_port.plugged or self._silent("laser"):
-            laser.discard(self._now_s)
-            return
-        data = laser.take(self._now_s)
-        if data:
-            self._laser_port.write(garbled(data) if self._wrong_baud() else data)
-
-    # -- probe -----------------------------------------------------------------------------------
-
-    def _accept_probe(self) -> None:
-        client = self._probe_port.accept()
-        if client is not None:
-            self._clients[client] = ModbusConnection(self._model.probe)
-            self._watch(client, lambda: self._probe_input(client))
-
-    def _probe_input(self, client: socket.socket) -> None:
-        try:
-            data = client.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if data:
-            self._clients[client].receive(data, self._now_s)
-        else:
-            self._drop(client)
-
-    def _drop(self, client: socket.socket) -> None:
-        self._selector.unregister(client)
-        del self._clients[client]
-        client.close()
-
-    def _serve_probe_output(self) -> None:
-        for client, connection in list(self._clients.items()):
-            data = connection.take(self._now_s)
-            if data and not self._silent("probe"):
-                try:
-                    client.sendall(data)
-                except OSError:
-                    self._drop(client)
+            self._control.close()
+            for name in ("simulator.sock", "simulator.json"):
+                (self._run_dir / name).unlink(missing_ok=True)
 
     # -- control ---------------------------------------------------------------------------------
 
@@ -230,7 +83,7 @@ class CellServer:
             with contextlib.suppress(OSError):
                 line = stream.readline()
             if not line:
-                self._selector.unregister(connection)
+                self._loop.forget(connection)
                 stream.close()
                 connection.close()
                 return
@@ -238,7 +91,7 @@ class CellServer:
                 stream.write(json.dumps(self._control_line(line)).encode() + b"\n")
                 stream.flush()
 
-        self._watch(connection, answer)
+        self._loop.watch(connection, answer)
 
     def _control_line(self, line: bytes) -> dict[str, Any]:
         try:
@@ -248,18 +101,18 @@ class CellServer:
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
     def _do(self, request: dict[str, Any]) -> dict[str, Any]:
-        what, model = request["do"], self._model
+        what, model, now = request["do"], self._model, self._loop.now_s
         if what in ("unplug", "plug", "silence"):
             device = request["device"]
             if device not in DEVICES:
                 raise ValueError(f"{device!r} is not one of {', '.join(DEVICES)}")
+            outlet = self._outlets[device]
             if what == "silence":
-                self._silent_until_s[device] = self._now_s + float(request["seconds"])
+                outlet.faults.add("drop", from_s=now, until_s=now + float(request["seconds"]))
             elif what == "unplug":
-                self._unplug(device)
+                outlet.unplug()
             else:
-                self._ports[device].plug()
-                self._watch_ports()
+                outlet.plug()
         elif what == "bump":
             if "translation_m" in request or "rotation_rad" in request:
                 model.world.bump_laser(
@@ -271,41 +124,29 @@ class CellServer:
         elif what == "part":
             model.world.part_present = bool(request["present"])
         elif what == "permit":
-            model.arm.permit(bool(request["permitted"]), self._now_s)
+            model.arm.permit(bool(request["permitted"]), now)
         elif what == "fault":
-            model.arm.fault(int(request["joint"]) - 1, int(request.get("code", 0x8611)), self._now_s)
+            model.arm.fault(int(request["joint"]) - 1, int(request.get("code", 0x8611)), now)
         elif what == "restart_laser":
-            model.laser.restart(self._now_s)
+            model.laser.restart(now)
         elif what == "quit":
-            self._quit()
+            self._loop.quit()
         elif what != "status":
             raise ValueError(f"{what!r} is not known")
         return self._status()
 
-    def _unplug(self, device: str) -> None:
-        port = self._ports[device]
-        if not port.plugged:
-            return
-        self._selector.unregister(port)
-        port.unplug()
-        if device == "arm":
-            self._dongle = SlcanDongle()
-        elif device == "probe":
-            for client in list(self._clients):
-                self._drop(client)
-
     def _status(self) -> dict[str, Any]:
-        model, now = self._model, self._now_s
+        model, now = self._model, self._loop.now_s
         model.contact.update(now)
         return {
             "time_s": now,
-            "stalled_s": self._clock.stalled_s,
+            "stalled_s": self._loop.stalled_s,
             "joints_rad": model.arm.joints_at(now).tolist(),
             "moving": model.arm.standstill(now) is None,
             "touches": model.contact.count,
             "deepest_touch_m": model.contact.deepest_m,
             "part_present": model.world.part_present,
-            "plugged": {name: port.plugged for name, port in self._ports.items()},
+            "plugged": {name: outlet.plugged for name, outlet in self._outlets.items()},
         }
 
 

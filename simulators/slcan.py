@@ -1,8 +1,9 @@
 """A serial CAN dongle of the LAWICEL kind: ASCII lines that end with CR; BELL refuses."""
 
+import math
 from typing import Final
 
-from simulators.robots.canopen_arm import Frame
+from simulators.interfaces import CanDevice, Frame
 
 OK: Final = b"\r"
 REFUSED: Final = b"\a"
@@ -75,3 +76,38 @@ class SlcanDongle:
         if command == b"t":  # remote and extended frames mean nothing to this arm
             self.sent.append((can_id, data))
         return OK
+
+
+class SlcanDevice:
+    """A CAN bus behind a dongle, as one byte device; frames are lost while the channel is closed."""
+
+    def __init__(self, bus: CanDevice) -> None:
+        self._bus, self._dongle = bus, SlcanDongle()
+        self._answers = b""
+        self._answers_s = math.inf
+
+    def receive(self, data: bytes, time_s: float) -> None:
+        """Lines from the host."""
+        answers = self._dongle.receive(data)
+        if answers:
+            self._answers += answers
+            self._answers_s = min(self._answers_s, time_s)
+        for can_id, payload in self._dongle.sent:
+            self._bus.receive(can_id, payload, time_s)
+        self._dongle.sent.clear()
+
+    def next_output_s(self) -> float:
+        """When the next line is handed over."""
+        return min(self._answers_s, self._bus.next_output_s())
+
+    def take(self, time_s: float) -> bytes:
+        """All lines handed over by then."""
+        lines, self._answers, self._answers_s = [self._answers], b"", math.inf
+        while (frame := self._bus.take(time_s)) is not None:
+            if self._dongle.open:
+                lines.append(encode_frame(frame))
+        return b"".join(lines)
+
+    def discard(self, time_s: float) -> None:
+        """Forget what was handed over by then."""
+        self.take(time_s)

@@ -4,15 +4,14 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
 
 from estimation.errors import DeviceError
 from simulators.cell import CellModel
+from simulators.faults import FaultyBytes, FaultyCan, WireFaults
+from simulators.interfaces import ByteDevice, CanDevice, Frame
 from simulators.probes.adam6052 import ModbusConnection
-from simulators.robots.canopen_arm import Frame
 
 _OTHER_CELL = "Simulate the robot that the cell file names"
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
@@ -42,87 +41,40 @@ class VirtualClock:
             self._now_s = time_s
 
 
-@dataclass(slots=True)
-class LinkFaults:
-    """What a test breaks on one link. Times are of the virtual clock."""
-
-    unplugged: bool = False
-    unplug_at_s: float = math.inf  # unplugs itself then, also in the middle of a wait
-    silent_from_s: float = math.inf  # the device hears, its answers are lost
-    silent_until_s: float = math.inf
-    late_s: float = 0.0  # everything the device says comes so much later
-    garbage: list[bytes] = field(default_factory=list)  # each comes before one of the next answers
-    corrupt: int = 0  # so many next answers have one bit flipped
-    piecewise: bool = False  # bytes arrive one at a time
-
-    def silent(self, time_s: float) -> bool:
-        return self.silent_from_s <= time_s < self.silent_until_s
-
-
-class ByteDevice(Protocol):
-    """A simulated device behind a byte stream."""
-
-    def receive(self, data: bytes, time_s: float) -> None:
-        """Bytes from the cell."""
-
-    def next_output_s(self) -> float:
-        """Nothing comes before this, if nothing is sent to the device."""
-
-    def take(self, time_s: float) -> bytes:
-        """All that was sent by then and not yet taken."""
-
-    def discard(self, time_s: float) -> None:
-        """Forget what was sent by then."""
-
-
-class CanDevice(Protocol):
-    """A simulated device on a CAN bus."""
-
-    def receive(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A frame from the master."""
-
-    def next_output_s(self) -> float:
-        """Nothing comes before this, if the master stays silent."""
-
-    def take(self, time_s: float) -> Frame | None:
-        """The oldest frame that was on the bus by then."""
-
-    def next_frame(self, until_s: float) -> Frame | None:
-        """The next frame that is on the bus by then, if any; everything before it has happened."""
-
-
 class _VirtualLink:
     """What both kinds of link share: being unplugged, and waiting."""
 
     def __init__(self, name: str, clock: VirtualClock) -> None:
         self._name, self._clock = name, clock
-        self.faults = LinkFaults()
+        self.faults = WireFaults()
+        self.unplug_at_s = math.inf  # unplugs itself then, also in the middle of a wait
         self.opened = 0  # how often it was reopened
+        self._unplugged = False
 
     @property
     def unplugged(self) -> bool:
-        return self.faults.unplugged
+        """The cable is pulled."""
+        return self._unplugged
 
     @unplugged.setter
     def unplugged(self, value: bool) -> None:
-        self.faults.unplugged = value
+        self._unplugged = value
         if not value:
-            self.faults.unplug_at_s = math.inf
+            self.unplug_at_s = math.inf
 
     def _check_plugged(self) -> float:
-        now, faults = self._clock.now_s(), self.faults
-        if now >= faults.unplug_at_s:
-            faults.unplugged = True
-        if faults.unplugged:
+        now = self._clock.now_s()
+        if now >= self.unplug_at_s:
+            self._unplugged = True
+        if self._unplugged:
             raise DeviceError(f"Port {self._name} is gone", "Check the cable and the power of the device")
         return now
 
     def _wait(self, output_s: float, deadline_s: float) -> bool:
         """Let time pass to the output or the deadline; True if the output is there."""
-        until = min(output_s + self.faults.late_s, deadline_s, self.faults.unplug_at_s)
-        self._clock.advance_to(until)
+        self._clock.advance_to(min(output_s, deadline_s, self.unplug_at_s))
         self._check_plugged()
-        return output_s + self.faults.late_s <= self._clock.now_s()
+        return output_s <= self._clock.now_s()
 
     def reopen(self) -> None:
         self._check_plugged()
@@ -133,82 +85,56 @@ class _VirtualLink:
 
 
 class VirtualCanLink(_VirtualLink):
-    """A CanLink onto the simulated arm."""
+    """A CanLink onto a simulated device."""
 
-    def __init__(self, name: str, clock: VirtualClock, arm: CanDevice) -> None:
+    def __init__(self, name: str, clock: VirtualClock, device: CanDevice) -> None:
         super().__init__(name, clock)
-        self._arm = arm
+        self._device = FaultyCan(device, self.faults)
 
     def send(self, can_id: int, data: bytes) -> None:
-        self._arm.receive(can_id, data, self._check_plugged())
+        self._device.receive(can_id, data, self._check_plugged())
 
     def receive(self, timeout_s: float) -> Frame | None:
-        clock, arm, faults = self._clock, self._arm, self.faults
-        now = clock.now_s()
-        deadline_s = now + timeout_s
-        healthy_until_s = min(faults.unplug_at_s, faults.silent_from_s)
-        if deadline_s < healthy_until_s and not (faults.unplugged or faults.late_s):
-            frame = arm.next_frame(deadline_s)  # as nearly always: nothing is broken
-            clock.advance_to(deadline_s if frame is None else frame.time_s)
-            return frame
+        clock = self._clock
+        deadline_s = self._check_plugged() + timeout_s
+        frame = self._device.next_frame(min(deadline_s, self.unplug_at_s))
+        clock.advance_to(min(deadline_s, self.unplug_at_s) if frame is None else frame.time_s)
         self._check_plugged()
-        while True:
-            output_s = arm.next_output_s()
-            if not self._wait(output_s, deadline_s):
-                return None
-            frame = arm.take(max(clock.now_s() - faults.late_s, output_s))
-            if frame is None or faults.silent(frame.time_s):
-                continue  # something happened inside the arm, or its answer is lost
-            return frame if not faults.late_s else frame._replace(time_s=clock.now_s())
+        return frame
 
     def reopen(self) -> None:
         super().reopen()
-        while self._arm.take(self._clock.now_s()) is not None:
+        while self._device.take(self._clock.now_s()) is not None:
             pass
 
 
 class VirtualByteLink(_VirtualLink):
-    """A ByteLink onto a simulated device."""
+    """A ByteLink onto a simulated device. `connect` makes what each opening finds there."""
 
-    def __init__(self, name: str, clock: VirtualClock, device: ByteDevice) -> None:
+    def __init__(self, name: str, clock: VirtualClock, connect: Callable[[], ByteDevice]) -> None:
         super().__init__(name, clock)
-        self._device = device
-        self._rest = b""
+        self._connect = connect
+        self._device = FaultyBytes(connect(), self.faults)
 
     def write(self, data: bytes) -> None:
         self._device.receive(data, self._check_plugged())
 
     def read(self, timeout_s: float) -> bytes:
         deadline_s = self._check_plugged() + timeout_s
-        while not self._rest:
-            output_s = self._device.next_output_s()
-            if not self._wait(output_s, deadline_s):
+        while True:
+            if not self._wait(self._device.next_output_s(), deadline_s):
                 return b""
-            data = self._device.take(max(self._clock.now_s() - self.faults.late_s, output_s))
-            self._rest = self._spoiled(data)
-        if not self.faults.piecewise:
-            data, self._rest = self._rest, b""
-        else:
-            data, self._rest = self._rest[:1], self._rest[1:]
-        return data
-
-    def _spoiled(self, data: bytes) -> bytes:
-        faults = self.faults
-        if not data or faults.silent(self._clock.now_s()):
-            return b""
-        if faults.corrupt:
-            faults.corrupt -= 1
-            middle = len(data) // 2
-            data = data[:middle] + bytes([data[middle] ^ 0x10]) + data[middle + 1 :]
-        return faults.garbage.pop(0) + data if faults.garbage else data
+            data = self._device.take(self._clock.now_s())
+            if data:
+                return data
 
     def discard_input(self) -> None:
-        self._device.discard(self._check_plugged() - self.faults.late_s)
-        self._rest = b""
+        self._device.discard(self._check_plugged())
 
     def reopen(self) -> None:
         super().reopen()
-        self.discard_input()
+        self._device = FaultyBytes(self._connect(), self.faults)
+        self._device.discard(self._clock.now_s())
 
 
 class VirtualPorts:
@@ -260,8 +186,8 @@ class SimulatedCell:
         self.truth, self.world = self.model.truth, self.model.world
         self.arm, self.contact = self.model.arm, self.model.contact
         self.arm_link = VirtualCanLink("arm", self.clock, self.model.arm)
-        self.laser_link = VirtualByteLink("laser", self.clock, self.model.laser)
-        self.probe_link = VirtualByteLink("probe", self.clock, ModbusConnection(self.model.probe))
+        self.laser_link = VirtualByteLink("laser", self.clock, lambda: self.model.laser)
+        self.probe_link = VirtualByteLink("probe", self.clock, lambda: ModbusConnection(self.model.probe))
         self.ports = VirtualPorts(
             {"robot": self.arm_link, "laser": self.laser_link, "probe": self.probe_link}
         )

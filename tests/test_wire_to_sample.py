@@ -241,26 +241,28 @@ def test_silent_devices_are_noticed_in_their_time(rig: Rig) -> None:
         (world.laser_link, lambda: rig.devices.laser.end_window(50), 0.30),
         (world.probe_link, rig.devices.probe.is_open, 0.50),
     ):
-        link.faults.silent_from_s = began_s = rig.clock.now_s()
+        began_s = rig.clock.now_s()
+        link.faults.add("drop")
         with pytest.raises(DeviceTimeout):
             ask()
         assert rig.clock.now_s() - began_s <= limit_s
-        link.faults.silent_from_s = np.inf
+        link.faults.clear()
 
 
 def test_garbage_and_single_bytes_do_not_reach_the_sample(rig: Rig) -> None:
     rig.devices.robot.move_joints(above_plate(rig, rig.world.truth.flange_T_laser, 0.085))
     clean = rig.window()
-    rig.world.laser_link.faults.garbage = [b"\xff\x00\x41", b"->", b"\x80"]
+    for noise in (b"\xff\x00\x41", b"->", b"\x80"):
+        rig.world.laser_link.faults.add("garbage", payload=noise, once=True)
     spoiled = rig.window()
     assert np.mean(spoiled.distance_m) == pytest.approx(np.mean(clean.distance_m), abs=1e-5)
     assert spoiled.distance_m == pytest.approx(
         np.full(len(spoiled.distance_m), np.mean(clean.distance_m)), abs=1e-4
     )
     assert rig.devices.laser.health().bad_frames >= 1
-    rig.world.probe_link.faults.piecewise = True
+    rig.world.probe_link.faults.add("split")
     assert rig.devices.probe.is_open()
-    rig.world.probe_link.faults.garbage = [b"\x01\x02\x03\x04\x05\x06\x07\x08"]
+    rig.world.probe_link.faults.add("garbage", payload=b"\1\2\3\4\5\6\7\x08", once=True)
     try:
         assert rig.devices.probe.is_open()
     except FrameError as error:

@@ -2,11 +2,12 @@
 
 import math
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from estimation.transform import FloatArray
+from simulators.interfaces import Frame
 from simulators.robots.drive import Drive, DriveSettings
 from simulators.robots.mechanism import MechanicalArm, reading_noise
 from simulators.world.world_file import ArmSpec
@@ -14,14 +15,6 @@ from simulators.world.world_file import ArmSpec
 COUNT_RAD: Final = math.pi / 180 / 1000  # the arm counts thousandths of a degree
 DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts: all answers to a SYNC come together
 REPLY_S: Final = 0.0004  # an SDO server thinks
-
-
-class Frame(NamedTuple):
-    """One CAN data frame, and when it was on the bus."""
-
-    can_id: int
-    data: bytes
-    time_s: float = 0.0
 
 
 class SimulatedArm(MechanicalArm):

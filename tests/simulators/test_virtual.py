@@ -85,7 +85,7 @@ def test_an_unplugged_link_is_gone_until_it_is_plugged_in_and_reopened(
 
 
 def test_a_link_can_break_in_the_middle_of_a_wait(cell: SimulatedCell) -> None:
-    cell.probe_link.faults.unplug_at_s = 0.4
+    cell.probe_link.unplug_at_s = 0.4
     with pytest.raises(DeviceError):
         cell.probe_link.read(1.0)
     assert cell.clock.now_s() == pytest.approx(0.4)
@@ -95,8 +95,7 @@ def test_a_link_can_break_in_the_middle_of_a_wait(cell: SimulatedCell) -> None:
 
 
 def test_silence_loses_answers_and_ends(cell: SimulatedCell) -> None:
-    faults = cell.probe_link.faults
-    faults.silent_from_s, faults.silent_until_s = 0.0, 2.0
+    cell.probe_link.faults.add("drop", from_s=0.0, until_s=2.0)
     cell.probe_link.write(READ_COUNTER)
     assert cell.probe_link.read(1.0) == b""
     cell.clock.sleep(1.5)
@@ -105,14 +104,14 @@ def test_silence_loses_answers_and_ends(cell: SimulatedCell) -> None:
 
 
 def test_silence_of_the_arm(cell: SimulatedCell) -> None:
-    cell.arm_link.faults.silent_from_s = 0.0
+    cell.arm_link.faults.add("drop")
     cell.arm_link.send(0x603, bytes.fromhex("4041600000000000"))
     assert cell.arm_link.receive(0.5) is None
     assert cell.clock.now_s() == pytest.approx(0.5)
 
 
 def test_late_answers_come_during_the_next_request(cell: SimulatedCell) -> None:
-    cell.probe_link.faults.late_s = 0.3
+    cell.probe_link.faults.add("late", 0.3)
     cell.probe_link.write(READ_COUNTER)
     assert cell.probe_link.read(0.2) == b""
     second = READ_COUNTER[:1] + b"\x02" + READ_COUNTER[2:]
@@ -123,7 +122,7 @@ def test_late_answers_come_during_the_next_request(cell: SimulatedCell) -> None:
 
 
 def test_late_frames_come_late(cell: SimulatedCell) -> None:
-    cell.arm_link.faults.late_s = 0.3
+    cell.arm_link.faults.add("late", 0.3)
     cell.arm_link.send(0x603, bytes.fromhex("4041600000000000"))
     assert cell.arm_link.receive(0.2) is None
     frame = cell.arm_link.receive(0.2)
@@ -134,14 +133,14 @@ def test_bytes_can_come_one_by_one_with_noise_before_and_a_flipped_bit(cell: Sim
     link = cell.probe_link
     link.write(READ_COUNTER)
     good = link.read(1.0)
-    link.faults.garbage.append(b"\xff\xfe")
+    link.faults.add("garbage", payload=b"\xff\xfe", once=True)
     link.write(READ_COUNTER)
     assert link.read(1.0) == b"\xff\xfe" + good
-    link.faults.corrupt = 1
+    link.faults.add("corrupt", once=True)
     link.write(READ_COUNTER)
     bad = link.read(1.0)
     assert sum(bin(a ^ b).count("1") for a, b in zip(good, bad, strict=True)) == 1
-    link.faults.piecewise = True
+    link.faults.add("split")
     link.write(READ_COUNTER)
     assert b"".join(link.read(1.0) for _ in good) == good
 
