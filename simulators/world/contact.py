@@ -8,6 +8,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from estimation.transform import FloatArray
+from simulators.world.kinematics import Triple
 from simulators.world.truth import stream
 from simulators.world.world import World
 
@@ -56,7 +57,7 @@ class StylusContact:
         self._draw_scatter()
         self._time_s, self._safe_s = 0.0, -math.inf  # the gap is known then; no change until then
         self._plans, self._revision = -1, world.revision
-        self._gap_m, _ = self._gap(0.0)
+        self._gap_m, _ = self._gap(self._ball(0.0))
         self.closed = self._gap_m <= 0
 
     def _draw_scatter(self) -> None:
@@ -65,10 +66,13 @@ class StylusContact:
         self._scatter_m = touch * file.probe.noise_m * self._world.noise_factor
         self._flat_m = flat * file.plate.flatness_m * self._world.noise_factor
 
-    def _gap(self, time_s: float) -> tuple[float, str]:
+    def _ball(self, time_s: float) -> Triple:
+        return self._world.ball(self._arm.joints_at(time_s))
+
+    def _gap(self, ball: Triple) -> tuple[float, str]:
         """Smallest gap, including the scatter of this contact: it closes at zero."""
         nearest, smallest = "", math.inf
-        for name, gap in self._world.clearances_m(self._arm.joints_at(time_s)):
+        for name, gap in self._world.ball_clearances_m(ball):
             if name == "plate":
                 gap -= self._flat_m
             if gap < smallest:
@@ -92,32 +96,46 @@ class StylusContact:
             self._look(min(max(self._safe_s, self._time_s + SHORTEST_STEP_S), time_s))
 
     def _unchanged_until_s(self) -> float:
-        """The contact cannot change before."""
-        speeds, accelerations, until_s = self._arm.course(self._time_s)
-        if not any(speeds) and not any(accelerations):
-            if math.isinf(until_s):
-                return math.inf
-            self._time_s = until_s
-            speeds, accelerations, until_s = self._arm.course(until_s)
-        missing = self._world.file.probe.release_m - self._gap_m if self.closed else self._gap_m
-        way_s = self._time_of_way_s(missing, speeds, accelerations)
-        return min(self._time_s + min(way_s, LONGEST_STEP_S), until_s)
+        """The contact cannot change before: so long at least the ball needs for the way to a change."""
+        time_s = self._time_s
+        way_m = self._world.file.probe.release_m - self._gap_m if self.closed else self._gap_m
+        speeds, accelerations, until_s = self._arm.course(time_s)
+        speed = self._ball_speed(speeds)
+        while way_m > 0 and time_s < math.inf:
+            moves = any(speeds) or any(accelerations)
+            duration_s = min(until_s - time_s, LONGEST_STEP_S if moves else math.inf)
+            after = (
+                [w + a * duration_s for w, a in zip(speeds, accelerations, strict=True)] if moves else speeds
+            )
+            turning = sum([max(abs(w), abs(v)) for w, v in zip(speeds, after, strict=True)])
+            change = turning**2 * self._reaches[0] + self._reach(accelerations)  # it goes round the axes
+            way_s = 2 * way_m / (speed + math.sqrt(speed**2 + 2 * change * way_m) + 1e-12)
+            if way_s <= duration_s:
+                return time_s + way_s
+            way_m -= (speed + change * duration_s / 2) * duration_s
+            time_s += duration_s
+            speeds, accelerations, until_s = self._arm.course(time_s)
+            jumps = self._reach([now - v for now, v in zip(speeds, after, strict=True)])
+            speed += change * duration_s + jumps
+        return time_s
 
-    def _time_of_way_s(self, way_m: float, speeds: Sequence[float], accelerations: Sequence[float]) -> float:
-        """So long at least the ball needs for a way, from where it is and at these accelerations."""
-        if way_m <= 0:
+    def _ball_speed(self, speeds: Sequence[float]) -> float:
+        """Of the ball, when the joints have these speeds."""
+        if not any(speeds):
             return 0.0
-        turning = sum([abs(w) + abs(a) * LONGEST_STEP_S for w, a in zip(speeds, accelerations, strict=True)])
-        bend = turning**2 * self._reaches[0]  # it goes round the axes
-        change = bend + sum([abs(a) * reach for a, reach in zip(accelerations, self._reaches, strict=True)])
         joints = self._arm.joints_at(self._time_s)
         here, there = self._world.ball(joints), self._world.ball(joints + MOMENT_S * np.array(speeds))
-        speed = math.dist(here, there) / MOMENT_S + bend * MOMENT_S / 2
-        return 2 * way_m / (speed + math.sqrt(speed**2 + 2 * change * way_m) + 1e-12)
+        turning = sum([abs(w) for w in speeds])
+        return math.dist(here, there) / MOMENT_S + turning**2 * self._reaches[0] * MOMENT_S / 2
+
+    def _reach(self, changes: Sequence[float]) -> float:
+        """The most that changes of all joints can be at the ball."""
+        return sum([abs(change) * reach for change, reach in zip(changes, self._reaches, strict=True)])
 
     def _look(self, time_s: float) -> None:
         before_s, self._time_s = self._time_s, time_s
-        self._gap_m, surface = self._gap(time_s)
+        ball = self._ball(time_s)
+        self._gap_m, surface = self._gap(ball)
         if self.closed:
             self.deepest_m = max(self.deepest_m, -self._gap_m)
             if self._gap_m >= self._world.file.probe.release_m:
@@ -125,7 +143,7 @@ class StylusContact:
         elif self._released and self._gap_m >= REARM_M:
             self._released = False
             self._draw_scatter()
-            self._gap_m, _ = self._gap(time_s)
+            self._gap_m, _ = self._gap(ball)
         elif self._gap_m <= 0:
             self.closed = True
             self.count += 1
@@ -134,5 +152,7 @@ class StylusContact:
     def _instant(self, open_s: float, closed_s: float) -> float:
         while closed_s - open_s > CONTACT_TIME_S:
             middle = (open_s + closed_s) / 2
-            open_s, closed_s = (open_s, middle) if self._gap(middle)[0] <= 0 else (middle, closed_s)
+            open_s, closed_s = (
+                (open_s, middle) if self._gap(self._ball(middle))[0] <= 0 else (middle, closed_s)
+            )
         return closed_s
