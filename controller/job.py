@@ -70,11 +70,12 @@ class CellJob:
         """All phases to the end. Raises Interrupted from `checkpoint`, GateHeld, OutsideCause, CellError."""
         belief = first_belief(self._cell)
         earlier: dict[str, PhaseRecord] = {}
+        results = self._store.results(self.run.id)
         for index, spec in enumerate(self._cell.job.phases):
             context: PhaseContext[Any] = PhaseContext(
                 self._cell, spec, self._arm, belief, earlier, self._seed
             )
-            stored = [result for result in self._store.results(self.run.id) if result.phase == spec.name]
+            stored = [result for result in results if result.phase == spec.name]
             if stored and (stored[-1].verdict == Outcome.OK or spec.kind == "inspect"):
                 attempt, last = stored[-1].attempt, stored[-1]
                 estimate = last.result["estimate"]
@@ -82,6 +83,7 @@ class CellJob:
             else:
                 attempt = self._next_attempt(stored)
                 finding = self._phase(index, context, attempt, checkpoint)
+                results.append(self._conclude(spec, attempt, finding, results[-1] if results else None))
                 estimate, belief = finding.estimate, finding.belief
             steps = self._steps(spec, attempt)
             earlier[spec.name] = PhaseRecord(
@@ -107,8 +109,9 @@ class CellJob:
     def complete(self) -> None:
         """Close the run with the verdict of all its phases."""
         self._acquisition.park()
-        self._store.close_run(self.run.id, self.outcome().value)
-        self._tell(phase=None, activity="completed", outcome=self.outcome().value)
+        outcome = self.outcome().value
+        self._store.close_run(self.run.id, outcome)
+        self._tell(phase=None, activity="completed", outcome=outcome)
 
     def end(self, state: str) -> None:
         if self._run is not None:
@@ -160,7 +163,6 @@ class CellJob:
                 if not further:
                     break
             steps = self._extend(index, spec, attempt, steps, further)
-        self._conclude(spec, attempt, finding)
         return finding
 
     def _next_attempt(self, results: Sequence[Result]) -> int:
@@ -172,11 +174,13 @@ class CellJob:
         marked = {sample.id for sample in now} != set(last.sample_ids)
         return last.attempt if marked else last.attempt + 1
 
-    def _conclude(self, spec: PhaseSpec, attempt: int, finding: Finding) -> None:
+    def _conclude(
+        self, spec: PhaseSpec, attempt: int, finding: Finding, calibration: Result | None
+    ) -> Result:
+        """Store the result; raises GateHeld if the job must not go on with it."""
         verdict = finding.verdict
         ids = [sample.id for sample in self._store.samples(self.run.id, spec.name, attempt)]
-        calibration = [result.content_hash for result in self._store.results(self.run.id)]
-        self._store.save_result(
+        result = self._store.save_result(
             self.run.id,
             spec.name,
             attempt,
@@ -184,11 +188,12 @@ class CellJob:
             result={"kind": spec.kind, "estimate": finding.estimate, "verdict": verdict.to_dict()},
             belief=finding.belief.to_dict(),
             sample_ids=ids,
-            calibration=calibration[-1] if calibration else None,
+            calibration=None if calibration is None else calibration.content_hash,
         )
         self._tell(phase=spec.name, activity="gated", outcome=verdict.outcome.value, text=verdict.message)
         if not verdict.passed and spec.kind != "inspect":
             raise GateHeld(spec.name, verdict)
+        return result
 
     def _acquire(
         self, spec: PhaseSpec, attempt: int, steps: Sequence[Step], checkpoint: Callable[[], None]
