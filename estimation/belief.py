@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -24,13 +24,15 @@ class Block:
     """One named quantity: a pose with some active freedoms, or a vector.
 
     The error of a pose is a right (body) perturbation xi = [t; phi] of its value (form A), of which
-    `freedoms` are uncertain; the error of a vector adds to it.
+    `freedoms` are uncertain; the error of a vector adds to it. Of those in `flat` nothing is known yet:
+    they have no prior, and the value is only where an estimator starts.
     """
 
     name: str
     value: Value
     freedoms: tuple[str, ...]
     units: tuple[str, ...]
+    flat: tuple[str, ...] = ()
 
     @property
     def active(self) -> NDArray[np.intp]:
@@ -46,6 +48,7 @@ class Belief:
 
     `contributions[source]` is (n, n): what an error of that source puts into the covariance of the
     stacked freedoms (m, rad, or none). Their sum is the covariance, so they are the uncertainty budget.
+    A flat freedom has zeros in each contribution, and a belief that has one has no covariance.
     """
 
     blocks: tuple[Block, ...] = ()
@@ -71,7 +74,20 @@ class Belief:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(n, n): the sum of the contributions."""
+        """(n, n): the sum of the contributions. Raises EstimationError while a freedom is flat."""
+        if self.flat.any():
+            named = ", ".join(label for label, flat in zip(self.labels, self.flat, strict=True) if flat)
+            raise EstimationError(f"Nothing is known yet of {named}", "Estimate it from measurements first")
+        return self.prior_covariance
+
+    @cached_property
+    def flat(self) -> NDArray[np.bool_]:
+        """(n,) True for freedoms without a prior."""
+        return np.array([each in block.flat for block in self.blocks for each in block.freedoms], np.bool_)
+
+    @cached_property
+    def prior_covariance(self) -> FloatArray:
+        """(n, n): as the covariance, with zeros for flat freedoms."""
         total = np.zeros((self.size, self.size))
         for matrix in self.contributions.values():
             total = total + matrix
@@ -153,7 +169,8 @@ class Belief:
 
         Parameters
         ----------
-        std, covariance : one of them; std is a number for all freedoms or one for each.
+        std, covariance : one of them; std is a number for all freedoms or one for each. An infinite std
+            leaves the freedom flat: without a prior.
         freedoms : active freedoms of a pose (all six by default), or names of the vector's elements.
         units : by default "rad" for names that start like an angle, "1" for a scale, otherwise "m".
         source : label of the prior in the budget; the block's name by default.
@@ -175,14 +192,18 @@ class Belief:
             )
         if not np.isfinite(held.matrix if isinstance(held, Transform) else held).all():
             raise EstimationError(f"Value of {name!r} is not finite", "Check what it comes from")
-        block = Block(name, held, tuple(freedoms), tuple(units or [unit_of(label) for label in freedoms]))
         prior = _prior(name, len(freedoms), std, covariance)
+        flat = tuple(np.array(freedoms)[np.isinf(np.diag(prior))].tolist())
+        prior = np.where(np.isinf(prior), 0.0, prior)
+        units = tuple(units or [unit_of(label) for label in freedoms])
+        block = Block(name, held, tuple(freedoms), units, flat)
         size, total = self.size, self.size + len(freedoms)
         contributions = {key: _padded(matrix, total) for key, matrix in self.contributions.items()}
-        label = source or name
-        added = contributions.get(label, np.zeros((total, total))).copy()
-        added[size:, size:] += prior
-        contributions[label] = added
+        if len(flat) < len(freedoms):
+            label = source or name
+            added = contributions.get(label, np.zeros((total, total))).copy()
+            added[size:, size:] += prior
+            contributions[label] = added
         return Belief((*self.blocks, block), contributions)
 
     def marginal(self, names: Iterable[str]) -> "Belief":
@@ -204,12 +225,24 @@ class Belief:
         return self.marginal(name for name in self.names if name not in dropped)
 
     def replaced(self, values: Mapping[str, Value], contributions: Mapping[str, FloatArray]) -> "Belief":
-        """The same blocks with other values and contributions; what an estimator returns."""
+        """The same blocks with other values and contributions, none flat; what an estimator returns."""
         blocks = tuple(
             Block(block.name, values.get(block.name, block.value), block.freedoms, block.units)
             for block in self.blocks
         )
         return Belief(blocks, contributions)
+
+    def started(self, values: Mapping[str, Value]) -> "Belief":
+        """The same belief with other values of its flat blocks: where an estimator starts."""
+        for name in values:
+            if set(self.block(name).flat) != set(self.block(name).freedoms):
+                raise EstimationError(
+                    f"{name!r} has a prior", "Start from its value, or leave the block flat"
+                )
+        return Belief(
+            tuple(replace(block, value=values.get(block.name, block.value)) for block in self.blocks),
+            self.contributions,
+        )
 
     def budget(self, jacobian: FloatArray) -> dict[str, FloatArray]:
         """Covariance G C_s G^T of quantities with jacobian G (..., k, n), source by source."""
@@ -225,7 +258,7 @@ class Belief:
             frames = (
                 (block.value.target, block.value.source) if isinstance(block.value, Transform) else ("", "")
             )
-            digest.update(repr((block.name, frames, block.freedoms, block.units)).encode())
+            digest.update(repr((block.name, frames, block.freedoms, block.units, block.flat)).encode())
             digest.update(_bytes(_array(block.value)))
         for source in sorted(self.contributions):
             digest.update(repr(source).encode())
@@ -245,6 +278,7 @@ class Belief:
                     "value": _array(block.value).tolist(),
                     "freedoms": list(block.freedoms),
                     "units": list(block.units),
+                    "flat": list(block.flat),
                 }
                 for block in self.blocks
             ],
@@ -263,6 +297,7 @@ class Belief:
                     _restored(entry["value"], entry["frames"]),
                     tuple(entry["freedoms"]),
                     tuple(entry["units"]),
+                    tuple(entry["flat"]),
                 )
                 for entry in data["blocks"]
             )
@@ -306,8 +341,8 @@ def _prior(
         raise EstimationError(f"Prior of {name!r}", "Give either std or covariance")
     if std is not None:
         spread = np.broadcast_to(np.asarray(std, dtype=np.float64), (size,))
-        if not np.isfinite(spread).all() or (spread < 0.0).any():
-            raise EstimationError(f"Prior std of {name!r} is {spread}", "Give finite values, not below zero")
+        if not (spread >= 0.0).all():
+            raise EstimationError(f"Prior std of {name!r} is {spread}", "Give numbers, not below zero")
         return np.diag(spread**2)
     prior = np.asarray(covariance, dtype=np.float64)
     if prior.shape != (size, size) or not np.isfinite(prior).all() or not np.allclose(prior, prior.T):

@@ -11,7 +11,7 @@ from scipy.special import chdtrc, chdtri, chndtr
 from estimation.belief import Belief
 from estimation.errors import EstimationError
 from estimation.kinematics import ArmModel
-from estimation.measurement import Observations
+from estimation.measurement import Chain, Observations
 from estimation.solver import update
 from estimation.transform import FloatArray, Transform
 
@@ -93,7 +93,9 @@ def bump_test(
         )
     nothing = Transform("laser", "laser", np.eye(4))
     prior_u = [PRIOR_U_M] * 3 + [PRIOR_U_RAD] * 2
-    moved = update(belief.with_block("bump", nothing, std=prior_u, freedoms=FREEDOMS), arm, observations)
+    moved = update(
+        belief.with_block("bump", nothing, std=prior_u, freedoms=FREEDOMS), Chain(arm, observations)
+    )
     pose = moved.belief.transform("bump")
     bump = _perturbation(pose)
     covariance = moved.belief.block_covariance("bump")

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from typing import Final
 
 import numpy as np
 
 from estimation.belief import Belief, Value
-from estimation.errors import EstimationError
-from estimation.kinematics import ArmModel
-from estimation.measurement import Observations, Rows, rows_at
+from estimation.errors import DegenerateGeometry, EstimationError
+from estimation.model import Model, Rows
 from estimation.transform import FloatArray, Transform
 
 _EYE: Final = np.eye(3)
@@ -17,24 +17,27 @@ _EYE: Final = np.eye(3)
 Point = tuple[FloatArray, Rows, FloatArray]  # z, rows there, Jacobian (m, n) by z
 
 
-class Problem:
-    """The prior as a chart: r0 = L z with z ~ N(0, I), and rows as functions of z."""
+class Chart:
+    """The prior as a chart: r0 = L z with z ~ N(0, I), and rows as functions of z.
 
-    def __init__(
-        self,
-        belief: Belief,
-        arm: ArmModel,
-        observations: Sequence[Observations],
-        consider: Sequence[str] = (),
-    ) -> None:
-        self.belief, self.arm, self.observations = belief, arm, observations
+    A flat freedom is its own coordinate (m, rad), with no prior row: `prior_rows` (n,) is 0 there, else 1.
+    """
+
+    def __init__(self, belief: Belief, model: Model, consider: Sequence[str] = ()) -> None:
+        self.belief, self.model = belief, model
         # Blocks to consider only: in the chart they are exactly known, so that nothing moves them.
         free = np.ones(belief.size, dtype=np.bool_)
         for name in consider:
             free[belief.index(name)] = False
-        self.root = square_root(np.where(np.outer(free, free), belief.covariance, 0.0))
+        self.root = square_root(np.where(np.outer(free, free), belief.prior_covariance, 0.0))
+        self.prior_rows = prior_rows(belief, self.root)
         self.considers = bool(consider)
-        self.rows = sum(len(batch) for batch in observations)
+
+    def weighed_at(self, z: FloatArray) -> "Chart":
+        """The same chart of a model that keeps the whitening it has at z."""
+        chart = copy(self)
+        chart.model = self.model.weighed_at(self.at(z)[0])
+        return chart
 
     def at(self, z: FloatArray) -> tuple[dict[str, Value], dict[str, FloatArray]]:
         """Values at z, and for each pose B^-1 (6, a): a change of r0 as a right perturbation there."""
@@ -62,14 +65,35 @@ class Problem:
     def evaluate(self, z: FloatArray) -> Point:
         """Rows at z, with their Jacobian by z. Raises EstimationError when they are not finite."""
         values, charts = self.at(z)
-        rows = rows_at(values, self.arm, self.observations)
-        dense = np.zeros((self.rows, self.belief.size))
+        rows = self.model.rows(values)
+        dense = np.zeros((len(rows.residual_m), self.belief.size))
         for name, matrix in rows.jacobian.items():
             if name in self.belief:
                 dense[:, self.belief.index(name)] = matrix @ charts[name] if name in charts else matrix
         if not np.isfinite(rows.residual_m).all() or not np.isfinite(dense).all():
             raise EstimationError("A residual is not a finite number", "Check joints, readings and priors")
         return z, rows, dense @ self.root
+
+
+def prior_rows(belief: Belief, root: FloatArray) -> FloatArray:
+    """(n,) weight of z^2 in the joint cost: 1, or 0 if flat, which then has a column in `root` as well."""
+    flat = np.flatnonzero(belief.flat)
+    root[flat, flat] = 1.0
+    weight = np.ones(belief.size)
+    weight[flat] = 0.0
+    return weight
+
+
+def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """normal^-1 right for a positive definite matrix, whatever the units of its unknowns."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    try:
+        scaled = np.linalg.solve(normal * np.outer(scale, scale), (right.T * scale).T)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometry(
+            "The measurements do not determine every unknown", "Measure from more and other directions"
+        ) from error
+    return np.asarray((scaled.T * scale).T)
 
 
 def square_root(covariance: FloatArray) -> FloatArray:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estimation.chart import Point, Problem
+from estimation.chart import Chart, Point, solved
 from estimation.errors import EstimationError
-from estimation.measurement import Rows
+from estimation.model import Rows
 from estimation.transform import FloatArray
 
 Robust = Literal["none", "huber", "cauchy"]
@@ -19,6 +19,7 @@ _TUNING: Final[Mapping[Robust, float]] = {"huber": 1.345, "cauchy": 2.385}  # 95
 _LARGEST_ITERATIONS: Final = 50
 _REWEIGHTINGS: Final = 4  # passes with the noise variance taken at the latest estimate
 _ROBUST_PASSES: Final = 12
+_MEDIAN: Final = 0.6745  # of the size of a standard normal variable
 SMALLEST_VARIANCE: Final = 1e-30  # m^2: a row without any noise has no finite weight
 _FIRST_TOLERANCE: Final = 1e-2  # standard deviations, for passes that only prepare the next
 _ROUNDING: Final = 1e-14  # of the cost
@@ -41,18 +42,19 @@ class Fit:
 
 
 def _solve(
-    problem: Problem, start: Point, weight: FloatArray, tolerance: float
+    chart: Chart, start: Point, weight: FloatArray, tolerance: float
 ) -> tuple[Point, tuple[float, ...], str]:
-    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds |z|^2."""
+    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds to the cost."""
     z, rows, jacobian = start
+    prior = chart.prior_rows
     residual = weight * rows.residual_m
-    cost = float(residual @ residual + z @ z)
+    cost = float(residual @ residual + z @ (prior * z))
     costs, damping, growth, last_step, polished = [cost], 0.0, 2.0, np.inf, 0
     for _ in range(_LARGEST_ITERATIONS):
         whitened = weight[:, None] * jacobian
-        normal = whitened.T @ whitened + np.eye(len(z))
-        gradient = whitened.T @ residual + z
-        newton = np.linalg.solve(normal, -gradient)
+        normal = whitened.T @ whitened + np.diag(prior)
+        gradient = whitened.T @ residual + prior * z
+        newton = solved(normal, -gradient)
         expected = float(-gradient @ newton)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
@@ -65,11 +67,11 @@ def _solve(
         polished += at_floor
         while True:
             scaled = normal + damping * np.diag(np.diag(normal))
-            step = newton if damping == 0.0 or at_floor else np.linalg.solve(scaled, -gradient)
+            step = newton if damping == 0.0 or at_floor else solved(scaled, -gradient)
             trial = z + step
-            _, trial_rows, trial_jacobian = problem.evaluate(trial)
+            _, trial_rows, trial_jacobian = chart.evaluate(trial)
             trial_residual = weight * trial_rows.residual_m
-            trial_cost = float(trial_residual @ trial_residual + trial @ trial)
+            trial_cost = float(trial_residual @ trial_residual + trial @ (prior * trial))
             promised = float(-step @ (2.0 * gradient + normal @ step))
             gain = (cost - trial_cost) / promised
             if trial_cost <= cost or at_floor:
@@ -93,80 +95,111 @@ def _solve(
     )
 
 
-def reweighted(problem: Problem, z: FloatArray, used: NDArray[np.bool_], tolerance: float) -> Fit:
-    """Passes with the noise variance taken at the estimate, until it stands still."""
-    point = problem.evaluate(z)
+def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: float) -> Fit:
+    """Passes with noise variance and whitening taken at the estimate, until they stand still."""
+    chart, point = _weighed(chart, z)
     variance = row_variance(point[1])
     costs: list[tuple[float, ...]] = []
     for number in range(_REWEIGHTINGS):
         # The first variance is that of the prior's values: no use in converging to the last digit with it.
         limit = tolerance if number else max(tolerance, _FIRST_TOLERANCE)
-        point, course, reason = _solve(problem, point, used / np.sqrt(variance), limit)
+        (z, before, _), course, reason = _solve(chart, point, used / np.sqrt(variance), limit)
         costs.append(course)
+        chart, point = _weighed(chart, z)
         latest = row_variance(point[1])
-        settled = np.max(np.abs(latest / variance - 1.0)) < tolerance
+        turned = np.max(np.abs(point[1].residual_m - before.residual_m) / np.sqrt(variance))
+        settled = max(np.max(np.abs(latest / variance - 1.0)), turned) < tolerance
         variance = latest
         if settled and number:
             break
     return Fit(*point, used, tuple(costs), reason)
 
 
-def robust_start(problem: Problem, z: FloatArray, robust: Robust) -> FloatArray:
+def _weighed(chart: Chart, z: FloatArray) -> tuple[Chart, Point]:
+    chart = chart.weighed_at(z)
+    return chart, chart.evaluate(z)
+
+
+def robust_start(chart: Chart, z: FloatArray, robust: Robust) -> FloatArray:
     """Iteratively reweighted least squares; only a start, so loose and few passes."""
-    point = problem.evaluate(z)
+    chart, point = _weighed(chart, z)
     sigma = np.sqrt(row_variance(point[1]))
     # Before the first fit the prior is part of every residual: judged by the noise alone, all are outliers.
-    scale = np.sqrt(sigma**2 + np.einsum("mn,mn->m", point[2], point[2]))
+    known = point[2] * chart.prior_rows
+    scale = np.sqrt(sigma**2 + np.einsum("mn,mn->m", known, known))
+    if not chart.prior_rows.all():  # where a flat start lies off, only the residuals themselves say how far
+        scale = scale * max(float(np.median(_sizes(point[1], scale))) / _MEDIAN, 1.0)
+    # Changes are judged in standard deviations: the prior's, for flat freedoms those that one row leaves.
+    largest = np.max(np.abs(point[2]) / sigma[:, None], axis=0, initial=0.0)
+    unit = np.where(chart.prior_rows > 0.0, 1.0, largest)
     for _ in range(_ROBUST_PASSES):
         before, rows, _ = point
-        size = np.abs(rows.residual_m) / scale / _TUNING[robust]
+        size = _sizes(rows, scale) / _TUNING[robust]
         weight = np.maximum(size, 1.0) ** -0.5 if robust == "huber" else (1.0 + size**2) ** -0.5
-        point = _solve(problem, point, weight / sigma, _FIRST_TOLERANCE)[0]
-        if np.max(np.abs(point[0] - before), initial=0.0) < _FIRST_TOLERANCE:
+        point = _solve(chart, point, np.repeat(weight, rows.group) / sigma, _FIRST_TOLERANCE)[0]
+        if np.max(np.abs(point[0] - before) * unit, initial=0.0) < _FIRST_TOLERANCE:
             break
         scale = sigma = np.sqrt(row_variance(point[1]))
     return point[0]
 
 
-def gated(problem: Problem, z: FloatArray, robust: Robust, level: float, tolerance: float) -> Fit:
-    """Mahalanobis gate: each row against what all the other accepted rows predict for it."""
-    limit = float(chdtri(1, level / problem.rows))  # Bonferroni
-    allowed = int(LARGEST_REJECTED_SHARE * problem.rows)
-    used = np.ones(problem.rows, dtype=np.bool_)
-    if robust != "none":  # judge first where outliers cannot hide each other, as if no row were in the fit
-        _, rows, jacobian = problem.evaluate(z)
-        variance = row_variance(rows)
-        squared = rows.residual_m**2 / (variance + _spread(jacobian, variance, used))
-        worst_rows = np.argsort(squared)[problem.rows - allowed :]
-        used[worst_rows] = squared[worst_rows] <= limit
-    fit = reweighted(problem, z, used, tolerance)
+def gated(chart: Chart, z: FloatArray, robust: Robust, level: float, tolerance: float) -> Fit:
+    """Mahalanobis gate: each observation against what all the other accepted ones predict for it."""
+    start = chart.evaluate(z)
+    group = start[1].group
+    count = len(start[1].residual_m) // group
+    limit = float(chdtri(group, level / count))  # Bonferroni
+    allowed = int(LARGEST_REJECTED_SHARE * count)
+    used = np.ones(count, dtype=np.bool_)
+    if robust != "none":  # judge first where outliers cannot hide each other, as if none were in the fit
+        squared = _squared(chart, start, used, np.zeros_like(used))
+        worst_ones = np.argsort(squared)[count - allowed :]
+        used[worst_ones] = squared[worst_ones] <= limit
+    fit = reweighted(chart, z, np.repeat(used, group), tolerance)
     for _ in range(2 * allowed + 3):
-        variance = row_variance(fit.rows)
-        spread = _spread(fit.jacobian, variance, fit.used)
-        own = np.where(fit.used, np.maximum(variance - spread, 1e-9 * variance), variance + spread)
-        squared = fit.rows.residual_m**2 / own
-        # Rows may come back, and only the worst leaves at a time: it drags honest rows over the limit.
-        used = fit.used | (squared <= limit)
+        squared = _squared(chart, (fit.z, fit.rows, fit.jacobian), used, used)
+        before = used
+        # Some may come back, and only the worst leaves at a time: it drags honest ones over the limit.
+        used = before | (squared <= limit)
         worst = int(np.argmax(np.where(used, squared, -1.0)))
         used[worst] = squared[worst] <= limit
         if np.sum(~used) > allowed:
             raise EstimationError(
-                f"More than {allowed} of {problem.rows} measurements contradict the others",
+                f"More than {allowed} of {count} measurements contradict the others",
                 "Look for a moved object, a wrong feature or a loose sensor, then measure again",
             )
-        if (used == fit.used).all():
+        if (used == before).all():
             break
-        fit = reweighted(problem, fit.z, used, tolerance)
+        fit = reweighted(chart, fit.z, np.repeat(used, group), tolerance)
     return fit
 
 
-def _spread(jacobian: FloatArray, variance: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
-    """Diagonal (m,) of H P H^T with the posterior P of the used rows."""
-    whitened = jacobian[used] / np.sqrt(variance[used])[:, None]
-    normal = whitened.T @ whitened + np.eye(jacobian.shape[1])
-    spread: FloatArray = np.einsum("mn,nm->m", jacobian, np.linalg.solve(normal, jacobian.T))
-    return spread
+def _sizes(rows: Rows, scale: FloatArray) -> FloatArray:
+    """(g,) root mean square of each observation's residuals over their scale (m,)."""
+    squares = ((rows.residual_m / scale) ** 2).reshape(-1, rows.group)
+    return np.asarray(np.sqrt(squares.mean(axis=1)))
+
+
+def _squared(chart: Chart, point: Point, used: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> FloatArray:
+    """Squared Mahalanobis distances (g,) of observations, given that those `used` (g,) determine P.
+
+    The residual of an observation that was `fitted` (g,) has the covariance Q - H P H^T, else Q + H P H^T.
+    """
+    _, rows, jacobian = point
+    variance, group = row_variance(rows), rows.group
+    chosen = np.repeat(used, group)
+    whitened = jacobian[chosen] / np.sqrt(variance[chosen])[:, None]
+    normal = whitened.T @ whitened + np.diag(chart.prior_rows)
+    across = solved(normal, jacobian.T).reshape(-1, len(used), group)
+    spread = np.einsum("gkn,ngl->gkl", jacobian.reshape(len(used), group, -1), across)
+    sign = np.where(fitted, -1.0, 1.0)[:, None, None]
+    own = variance.reshape(-1, group)[:, :, None] * np.eye(group) + sign * spread
+    values, vectors = np.linalg.eigh(own)
+    values = np.maximum(values, 1e-9 * variance.reshape(-1, group).min(axis=1)[:, None])
+    along = np.einsum("gk,gkl->gl", rows.residual_m.reshape(-1, group), vectors)
+    return np.asarray(np.sum(along**2 / values, axis=1))
 
 
 def row_variance(rows: Rows) -> FloatArray:
+    """Q as a diagonal (m,), m^2, no row without any noise."""
     return np.maximum(rows.noise_variance, SMALLEST_VARIANCE)

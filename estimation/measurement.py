@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
 from estimation.kinematics import ArmModel
-from estimation.surfaces import Feature, cross, feature_table, signed_distance
+from estimation.model import Rows, pose_of, pose_rows, values_of, vector_of
+from estimation.surfaces import Feature, feature_table, signed_distance
 from estimation.transform import FloatArray, Transform, skew
 
 JOINT_NOISE: Final = "joint noise"
@@ -90,69 +91,50 @@ class Observations:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Residuals of observations at one state, with their derivatives.
-
-    `jacobian[block]` is (m, w) by the full perturbation of a block: w = 6 for a pose (right, form A),
-    the vector's length otherwise. `noise[source]` is (m,) variance, m^2; independent rows.
-    """
-
-    residual_m: FloatArray
-    jacobian: Mapping[str, FloatArray]
-    noise: Mapping[str, FloatArray]
-
-    @property
-    def noise_variance(self) -> FloatArray:
-        """Q as a diagonal (m,), m^2: sum of K_s^2 sigma_s^2 over the sources."""
-        total: FloatArray = np.sum(list(self.noise.values()), axis=0)
-        return total
-
-    def dense(self, belief: Belief) -> FloatArray:
-        """Jacobian (m, n) by the active freedoms, in the order of the belief's state."""
-        dense = np.zeros((len(self.residual_m), belief.size))
-        for name, matrix in self.jacobian.items():
-            if name in belief:
-                dense[:, belief.index(name)] = matrix[:, belief.block(name).active]
-        return dense
-
-
-def evaluate(belief: Belief, arm: ArmModel, observations: Sequence[Observations]) -> Rows:
-    """Residuals and derivatives of all batches, stacked, at the belief's values.
+class Chain:
+    """Batches measured with one arm, stacked in their order: the `Model` of a cell.
 
     The chain is p_object = base_T_object^-1 . base_T_flange(q; kinematics) . flange_T_sensor . p_sensor,
     the residual its signed distance to the feature (less the ball radius for a probe). Uses the blocks
     "kinematics", "laser" with "laser.scale" and "laser.offset", "probe" with "probe.radius", "bump", the
     object and the deviations of its features. Absent "kinematics", "laser.scale", "laser.offset",
     "probe.radius" and "bump" mean nominal or zero, without uncertainty.
-
-    Raises EstimationError when a pose or a feature's block is missing.
     """
-    return rows_at({block.name: block.value for block in belief.blocks}, arm, observations)
 
+    arm: ArmModel
+    observations: Sequence[Observations]
 
-def rows_at(values: Mapping[str, Value], arm: ArmModel, observations: Sequence[Observations]) -> Rows:
-    """As `evaluate`, at values that need not be a belief's."""
-    if not observations:
-        return Rows(np.zeros(0), {}, {})
-    actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
-    # One pass through the kinematics for all batches: its cost is per call as much as per row.
-    chain = actual.jacobians(np.concatenate([batch.joints_rad for batch in observations]))
-    ends = np.cumsum([len(batch) for batch in observations]).tolist()
-    places = [slice(end - len(batch), end) for batch, end in zip(observations, ends, strict=True)]
-    parts = [
-        _batch(values, (chain[0][place], chain[1][place], chain[2][place]), batch)
-        for batch, place in zip(observations, places, strict=True)
-    ]
-    if len(parts) == 1:
-        return parts[0]
-    jacobian: dict[str, FloatArray] = {}
-    noise: dict[str, FloatArray] = {}
-    for part, place in zip(parts, places, strict=True):
-        for name, matrix in part.jacobian.items():
-            jacobian.setdefault(name, np.zeros((ends[-1], matrix.shape[1])))[place] = matrix
-        for name, variance in part.noise.items():
-            noise.setdefault(name, np.zeros(ends[-1]))[place] = variance
-    return Rows(np.concatenate([part.residual_m for part in parts]), jacobian, noise)
+    def __len__(self) -> int:
+        return sum(len(batch) for batch in self.observations)
+
+    def weighed_at(self, values: Mapping[str, Value]) -> "Chain":
+        """Itself: rows are scalar."""
+        return self
+
+    def rows(self, values: Mapping[str, Value]) -> Rows:
+        """Rows at values; raises EstimationError when a pose or the block of a feature is missing."""
+        observations = self.observations
+        if not observations:
+            return Rows(np.zeros(0), {}, {})
+        actual = _actual(self.arm, values)
+        # One pass through the kinematics for all batches: its cost is per call as much as per row.
+        chain = actual.jacobians(np.concatenate([batch.joints_rad for batch in observations]))
+        ends = np.cumsum([len(batch) for batch in observations]).tolist()
+        places = [slice(end - len(batch), end) for batch, end in zip(observations, ends, strict=True)]
+        parts = [
+            _batch(values, (chain[0][place], chain[1][place], chain[2][place]), batch)
+            for batch, place in zip(observations, places, strict=True)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        jacobian: dict[str, FloatArray] = {}
+        noise: dict[str, FloatArray] = {}
+        for part, place in zip(parts, places, strict=True):
+            for name, matrix in part.jacobian.items():
+                jacobian.setdefault(name, np.zeros((ends[-1], matrix.shape[1])))[place] = matrix
+            for name, variance in part.noise.items():
+                noise.setdefault(name, np.zeros(ends[-1]))[place] = variance
+        return Rows(np.concatenate([part.residual_m for part in parts]), jacobian, noise)
 
 
 def _batch(
@@ -162,18 +144,18 @@ def _batch(
     sensor = _Sensor.of(values, batch.sensor, batch.reading_m)
     rotation = flange[:, :3, :3]
     base_p = (rotation @ sensor.flange_p[:, :, None])[:, :, 0] + flange[:, :3, 3]
-    pose = _pose(values, batch.object)
+    pose = pose_of(values, batch.object)
     object_p = (base_p - pose.origin_m) @ pose.rotation
     table = feature_table(batch.features)
-    parameters = [_sized(values, name, size) for name, size in table.blocks]
+    parameters = [vector_of(values, name, size) for name, size in table.blocks]
     distance = signed_distance(
         batch.features, batch.feature_index, object_p, np.concatenate([np.zeros(0), *parameters])
     )
     base_g = distance.gradient @ pose.rotation.T
     flange_g = (base_g[:, None, :] @ rotation)[:, 0, :]
-    flange_row = _pose_rows(flange_g, sensor.flange_p)
+    flange_row = pose_rows(flange_g, sensor.flange_p)
     jacobian = sensor.rows(flange_g, values)
-    jacobian[batch.object] = -_pose_rows(distance.gradient, object_p)
+    jacobian[batch.object] = -pose_rows(distance.gradient, object_p)
     if "kinematics" in values:
         jacobian["kinematics"] = (flange_row[:, None, :] @ parameter_twist)[:, 0, :]
     start = 0
@@ -192,7 +174,7 @@ def _batch(
     else:
         noise[TOUCH_NOISE] = batch.reading_variance
         if "probe.radius" in values:
-            residual = residual - _sized(values, "probe.radius", 1)[0]
+            residual = residual - vector_of(values, "probe.radius", 1)[0]
             jacobian["probe.radius"] = np.full((len(batch), 1), -1.0)
     return Rows(residual, jacobian, noise)
 
@@ -212,15 +194,15 @@ class _Sensor:
 
     @staticmethod
     def of(values: Mapping[str, Value], name: str, reading_m: FloatArray) -> "_Sensor":
-        mount = _pose(values, name)
+        mount = pose_of(values, name)
         beam_p = np.zeros((len(reading_m), 3))
         scale, bumped, sensor_p = 0.0, mount.rotation, beam_p
         if name == "laser":
-            scale = float(_sized(values, "laser.scale", 1)[0]) if "laser.scale" in values else 0.0
-            offset_m = float(_sized(values, "laser.offset", 1)[0]) if "laser.offset" in values else 0.0
+            scale = float(vector_of(values, "laser.scale", 1)[0]) if "laser.scale" in values else 0.0
+            offset_m = float(vector_of(values, "laser.offset", 1)[0]) if "laser.offset" in values else 0.0
             beam_p[:, 2] = (1.0 + scale) * reading_m + offset_m
             if "bump" in values:
-                bump = _pose(values, "bump")
+                bump = pose_of(values, "bump")
                 bumped, sensor_p = mount.rotation @ bump.rotation, bump.points(beam_p)
         return _Sensor(name, mount, bumped, scale, reading_m, beam_p, sensor_p, mount.points(sensor_p))
 
@@ -231,11 +213,11 @@ class _Sensor:
 
     def rows(self, flange_g: FloatArray, values: Mapping[str, Value]) -> dict[str, FloatArray]:
         """Derivatives (m, w) of g . p by the blocks of the sensor."""
-        jacobian = {self.name: _pose_rows(flange_g @ self.mount.rotation, self.sensor_p)}
+        jacobian = {self.name: pose_rows(flange_g @ self.mount.rotation, self.sensor_p)}
         if self.name == "laser":
             along = flange_g @ self.beam
             if "bump" in values:
-                jacobian["bump"] = _pose_rows(flange_g @ self.bumped, self.beam_p)
+                jacobian["bump"] = pose_rows(flange_g @ self.bumped, self.beam_p)
             if "laser.scale" in values:
                 jacobian["laser.scale"] = (along * self.reading_m)[:, None]
             if "laser.offset" in values:
@@ -266,14 +248,14 @@ def point_jacobian(
 
     Noise of the reading and of the joints is not in here: only what the belief is uncertain of.
     """
-    values = {block.name: block.value for block in belief.blocks}
+    values = values_of(belief)
     sensor = _Sensor.of(values, "laser", np.asarray(readings_m, dtype=np.float64))
     points = sensor.flange_p
     # The rows of three unit gradients are the derivative of the point.
     axes = [sensor.rows(np.broadcast_to(axis, points.shape), values) for axis in np.eye(3)]
     parts = {name: np.stack([rows[name] for rows in axes], axis=1) for name in axes[0]}
     if arm is not None and joints_rad is not None:
-        actual = arm.with_deviation(_vector(values, "kinematics")) if "kinematics" in values else arm
+        actual = _actual(arm, values)
         flange, _, parameter_twist = actual.jacobians(joints_rad)
         rotation = flange[:, :3, :3]
         parts = {name: rotation @ matrix for name, matrix in parts.items()}
@@ -304,33 +286,5 @@ def _moved(rotation: FloatArray, points: FloatArray) -> FloatArray:
     return moved
 
 
-def _pose_rows(gradient: FloatArray, points: FloatArray) -> FloatArray:
-    """g^T [I | -[p]x] (m, 6): gradient and points in the perturbed frame."""
-    return np.concatenate([gradient, cross(points, gradient)], axis=1)
-
-
-def _pose(values: Mapping[str, Value], name: str) -> Transform:
-    value = values.get(name)
-    if not isinstance(value, Transform):
-        raise EstimationError(
-            f"The belief has no pose {name!r}, only {', '.join(values) or 'nothing'}",
-            "Run the phase that adds it first",
-        )
-    return value
-
-
-def _vector(values: Mapping[str, Value], name: str) -> FloatArray:
-    value = values.get(name)
-    if value is None or isinstance(value, Transform):
-        raise EstimationError(
-            f"The belief has no vector {name!r}, only {', '.join(values) or 'nothing'}",
-            "Add the block with its prior first",
-        )
-    return value
-
-
-def _sized(values: Mapping[str, Value], name: str, size: int) -> FloatArray:
-    value = _vector(values, name)
-    if value.size != size:
-        raise EstimationError(f"Block {name!r} holds {value.size} numbers, {size} are used", "Check it")
-    return value
+def _actual(arm: ArmModel, values: Mapping[str, Value]) -> ArmModel:
+    return arm.with_deviation(vector_of(values, "kinematics")) if "kinematics" in values else arm

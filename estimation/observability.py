@@ -80,8 +80,35 @@ def rank_report(
     tolerance : smallest over largest singular value that counts as information.
     """
     columns = np.concatenate([np.arange(prior.size)[prior.index(name)] for name in targets]).astype(np.intp)
-    whitened = jacobian[:, columns] / np.sqrt(variance)[:, None]
-    units = np.array([unit for name in targets for unit in prior.block(name).units])
+    rank, singular, null, scale = _null_space(prior, jacobian, variance, columns, tolerance)
+    return RankReport(
+        rank=rank,
+        unknowns=len(columns),
+        singular_values=singular,
+        missing=_directions(prior, columns, null, scale, False),
+        held_by_prior=_held(prior, posterior, columns, scale),
+    )
+
+
+def require_determined(belief: Belief, jacobian: FloatArray, variance: FloatArray) -> None:
+    """Raise DegenerateGeometry, with the directions in words, unless the data determine the flat freedoms.
+
+    jacobian (m, n) by the state of the belief and variance (m,), m^2, as in `rank_report`.
+    """
+    columns = np.flatnonzero(belief.flat)
+    if len(columns):
+        rank, singular, null, scale = _null_space(belief, jacobian, variance, columns, RANK_TOLERANCE)
+        missing = _directions(belief, columns, null, scale, False)
+        RankReport(rank, len(columns), singular, missing, ()).require()
+
+
+def _null_space(
+    belief: Belief, jacobian: FloatArray, variance: FloatArray, columns: NDArray[np.intp], tolerance: float
+) -> tuple[int, FloatArray, FloatArray, FloatArray]:
+    """Rank, singular values, null space (k, q) and the scale (q,) of its columns."""
+    whitened = jacobian[:, columns] / np.sqrt(np.maximum(variance, np.finfo(float).tiny))[:, None]
+    every_unit = [unit for block in belief.blocks for unit in block.units]
+    units = np.array(every_unit)[columns]
     length = np.linalg.norm(whitened, axis=0)
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
@@ -92,13 +119,7 @@ def rank_report(
     padding = np.zeros((max(len(columns) - len(scaled), 0), len(columns)))
     _, singular, right = np.linalg.svd(np.vstack([scaled, padding]), full_matrices=False)
     rank = int(np.sum(singular > tolerance * max(singular[0], np.finfo(float).tiny)))
-    return RankReport(
-        rank=rank,
-        unknowns=len(columns),
-        singular_values=singular,
-        missing=_directions(prior, columns, right[rank:], scale, False),
-        held_by_prior=_held(prior, posterior, columns, scale),
-    )
+    return rank, singular, right[rank:], scale
 
 
 def _held(
@@ -106,14 +127,14 @@ def _held(
 ) -> tuple[Direction, ...]:
     """Directions in which the posterior is as wide as the prior."""
     grid = np.ix_(columns, columns)
-    std = np.sqrt(np.diag(prior.covariance)[columns])
-    known = std == 0.0  # exactly known: nothing to hold
+    std = np.sqrt(np.diag(prior.prior_covariance)[columns])
+    known = std == 0.0  # exactly known, or flat: there is no prior to hold anything
     if known.all():
         return ()
     free = ~known
     small = np.ix_(free, free)
     scale = std[free]
-    before = prior.covariance[grid][small] / np.outer(scale, scale)
+    before = prior.prior_covariance[grid][small] / np.outer(scale, scale)
     after = posterior.covariance[grid][small] / np.outer(scale, scale)
     try:
         root = np.linalg.cholesky(before)

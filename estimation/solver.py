@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from estimation.belief import Belief
-from estimation.chart import Problem, square_root
+from estimation.chart import Chart, prior_rows, solved, square_root
 from estimation.errors import EstimationError
 from estimation.fitting import SMALLEST_VARIANCE, Fit, Robust, gated, reweighted, robust_start, row_variance
-from estimation.kinematics import ArmModel
-from estimation.measurement import Observations, evaluate
-from estimation.observability import RankReport, rank_report
+from estimation.model import Model, evaluate
+from estimation.observability import RankReport, rank_report, require_determined
+from estimation.statistics import ChiSquareTest, chi_square_two_sided
 from estimation.transform import FloatArray
 
 
@@ -24,12 +24,13 @@ class Update:
     Attributes
     ----------
     belief : posterior; contributions in Joseph form, with the noise sources of this call.
-    chi2, dof : minimum of the joint cost with the prior; dof = rows + prior rows - unknowns = rows used.
+    chi2, dof : minimum of the joint cost with the prior; dof = rows + prior rows - unknowns, which is the
+        rows used less the flat freedoms.
     residual_m : (m,) at the posterior, rejected rows included.
     standardised : (m,) residual over its own standard deviation, for rejected rows that of the innovation.
     leverage : (m,) from 0 (checked by the others) to 1 (believed blindly); 0 for rejected rows.
     rejected : (m,) True for rows that the outlier gate left out.
-    rank : of the target blocks on the data alone; None when no targets were named.
+    rank : of target and flat blocks on the data alone; None when there are none.
     costs : of each accepted iterate, one tuple for each pass with fixed noise variances; never rises in one.
     """
 
@@ -54,8 +55,27 @@ class Update:
 
     @property
     def variance_factor(self) -> float:
-        """chi2 / dof: near 1 when all the uncertainties are honest."""
+        """chi2 / dof: near 1 when all the uncertainties are honest; 1 when there is no redundancy."""
         return self.chi2 / self.dof if self.dof else 1.0
+
+    def consistency(self, level: float = 0.05) -> ChiSquareTest:
+        """chi2 against its band, both ways. Raises EstimationError without redundancy."""
+        return chi_square_two_sided(self.chi2, self.dof, level)
+
+    def residual_based(self) -> Belief:
+        """The posterior with all covariances times the variance factor: for noise known but for its size.
+
+        Raises EstimationError without redundancy, where residuals say nothing of the noise.
+        """
+        if self.dof == 0:
+            raise EstimationError(
+                "As many measurements as unknowns: residuals say nothing of the noise",
+                "Measure more, or use the covariance that follows from the declared noise",
+            )
+        contributions = self.belief.contributions
+        return self.belief.replaced(
+            {}, {source: self.variance_factor * matrix for source, matrix in contributions.items()}
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +105,7 @@ class Prediction:
 
 def update(
     belief: Belief,
-    arm: ArmModel,
-    observations: Sequence[Observations],
+    model: Model,
     *,
     targets: Sequence[str] = (),
     consider: Sequence[str] = (),
@@ -95,11 +114,14 @@ def update(
     reject_level: float | None = None,
     tolerance: float = 1e-7,
 ) -> Update:
-    """MAP estimate of all blocks from the belief as prior and the observations.
+    """MAP estimate of all blocks from the belief as prior and the rows of the model.
+
+    Flat freedoms start at their value in the belief, which must be near enough to roll down from, and
+    come from the data and from what is known of the other blocks.
 
     Parameters
     ----------
-    targets : blocks whose rank on the data alone is reported.
+    targets : blocks whose rank on the data alone is reported; flat blocks always are.
     consider : blocks that act on the residuals but are not updated (their prior must be independent of the
         others); the other blocks are weighted by the noise alone and carry what these do to them. By
         default everything is estimated jointly, which is never worse.
@@ -111,9 +133,11 @@ def update(
 
     Raises
     ------
+    DegenerateGeometry
+        The data leave a direction of the flat freedoms open.
     EstimationError
-        Observations that are empty, not finite or of blocks that are missing; no convergence; more than
-        10 % of the rows rejected.
+        Rows that are none, not finite or of blocks that are missing; no convergence; more than 10 % of the
+        observations rejected.
 
     Notes
     -----
@@ -121,58 +145,60 @@ def update(
     the prior covariance, so that B^T P0^-1 B is taken exactly and singular priors are welcome. Source:
     Sallinen (2003), eq. (46), with its missing prior residual.
     """
-    if not any(len(batch) for batch in observations):
+    if not len(model):
         raise EstimationError("No observations", "Measure before estimating")
-    problem = Problem(belief, arm, observations, consider)
+    chart = Chart(belief, model, consider)
     z = np.zeros(belief.size)
+    require_determined(belief, *information_rows(belief, model))
     if robust != "none":
-        z = robust_start(problem, z, robust)
+        z = robust_start(chart, z, robust)
     if reject_level is None:
-        fit = reweighted(problem, z, np.ones(problem.rows, dtype=np.bool_), tolerance)
+        fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance)
     else:
-        fit = gated(problem, z, robust, reject_level, tolerance)
-    return _result(problem, fit, targets, phase)
+        fit = gated(chart, z, robust, reject_level, tolerance)
+    return _result(chart, fit, targets, phase)
 
 
-def predict(belief: Belief, arm: ArmModel, observations: Sequence[Observations]) -> Prediction:
-    """What the belief expects of the observations, without using them."""
-    rows = evaluate(belief, arm, observations)
+def predict(belief: Belief, model: Model) -> Prediction:
+    """What the belief expects of the measurements, without using them. No freedom may be flat."""
+    rows = evaluate(belief, model)
     jacobian, variance = rows.dense(belief), rows.noise_variance
     covariance = jacobian @ belief.covariance @ jacobian.T
     covariance = 0.5 * (covariance + covariance.T) + np.diag(variance)
     return Prediction(rows.residual_m, jacobian, variance, covariance)
 
 
-def information_rows(
-    belief: Belief, arm: ArmModel, observations: Sequence[Observations]
-) -> tuple[FloatArray, FloatArray]:
+def information_rows(belief: Belief, model: Model) -> tuple[FloatArray, FloatArray]:
     """(H (m, n), diagonal of Q (m,)) at the belief's values: rank-one pieces for a planner."""
-    rows = evaluate(belief, arm, observations)
+    rows = evaluate(belief, model)
     return rows.dense(belief), rows.noise_variance
 
 
-def predicted_belief(
-    belief: Belief, arm: ArmModel, observations: Sequence[Observations], phase: str = ""
-) -> Belief:
-    """The belief with the covariance that the observations would leave, at its present values."""
-    rows = evaluate(belief, arm, observations)
-    dense = rows.dense(belief)
-    gain = _gain(square_root(belief.covariance), dense, rows.noise)
+def predicted_belief(belief: Belief, model: Model, phase: str = "") -> Belief:
+    """The belief with the covariance that the measurements would leave, at its present values.
+
+    Raises DegenerateGeometry when they leave a direction of the flat freedoms open.
+    """
+    rows = evaluate(belief, model)
+    dense, root = rows.dense(belief), square_root(belief.prior_covariance)
+    require_determined(belief, dense, rows.noise_variance)
+    gain = _gain(root, prior_rows(belief, root), dense, rows.noise)
     return belief.replaced({}, _posterior(belief, gain, np.eye(belief.size), dense, rows.noise, phase))
 
 
-def _result(problem: Problem, fit: Fit, targets: Sequence[str], phase: str) -> Update:
-    belief, rows, used = problem.belief, fit.rows, fit.used
-    values, charts = problem.at(fit.z)
-    chart = np.eye(belief.size)
-    for name, inverse in charts.items():
+def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str) -> Update:
+    belief, rows, used = chart.belief, fit.rows, fit.used
+    values, poses = chart.at(fit.z)
+    to_body = np.eye(belief.size)  # B^-1
+    for name, inverse in poses.items():
         place = belief.index(name)
-        chart[place, place] = inverse[belief.block(name).active]
+        to_body[place, place] = inverse[belief.block(name).active]
     at_posterior = belief.replaced(values, belief.contributions)
     dense, variance = rows.dense(at_posterior), row_variance(rows)
+    require_determined(belief, dense[used], variance[used])
     noise = {source: each[used] for source, each in rows.noise.items()}
-    gain = _gain(chart @ problem.root, dense[used], noise)
-    posterior = belief.replaced(values, _posterior(belief, gain, chart, dense[used], noise, phase))
+    gain = _gain(to_body @ chart.root, chart.prior_rows, dense[used], noise)
+    posterior = belief.replaced(values, _posterior(belief, gain, to_body, dense[used], noise, phase))
     spread = _quadratic(dense, posterior.covariance)
     # r = H d + noise, where d holds -K noise of the used rows; the same in joint and consider treatment.
     own_gain = np.zeros(len(used))
@@ -182,16 +208,18 @@ def _result(problem: Problem, fit: Fit, targets: Sequence[str], phase: str) -> U
     standardised = np.where(
         own > 1e-9 * variance, rows.residual_m / np.sqrt(np.maximum(own, SMALLEST_VARIANCE)), 0.0
     )
-    final = _joint_chi2(problem, fit, chart, dense[used], variance[used])
+    flat = [block.name for block in belief.blocks if block.flat and block.name not in targets]
+    named = (*targets, *flat)
+    final = _joint_chi2(chart, fit, to_body, dense[used], variance[used])
     return Update(
         belief=posterior,
         chi2=final,
-        dof=int(np.sum(used)),
+        dof=int(np.sum(used)) - int(np.sum(belief.flat)),
         residual_m=rows.residual_m,
         standardised=standardised,
         leverage=leverage,
         rejected=~used,
-        rank=rank_report(belief, posterior, dense[used], variance[used], targets) if targets else None,
+        rank=rank_report(belief, posterior, dense[used], variance[used], named) if named else None,
         iterations=sum(len(course) - 1 for course in fit.costs),
         initial_cost=fit.costs[0][0],
         final_cost=final,
@@ -200,25 +228,29 @@ def _result(problem: Problem, fit: Fit, targets: Sequence[str], phase: str) -> U
     )
 
 
-def _gain(root: FloatArray, dense: FloatArray, noise: Mapping[str, FloatArray]) -> FloatArray:
-    """K (n, m) of rows with the prior root root^T."""
+def _gain(
+    root: FloatArray, prior: FloatArray, dense: FloatArray, noise: Mapping[str, FloatArray]
+) -> FloatArray:
+    """K (n, m) of rows in the chart r0 = root z, whose z have the prior rows `prior` (n,)."""
     sigma = np.sqrt(np.maximum(np.sum(list(noise.values()), axis=0), SMALLEST_VARIANCE))
     whitened = (dense @ root) / sigma[:, None]
-    normal = whitened.T @ whitened + np.eye(root.shape[1])
-    gain: FloatArray = root @ np.linalg.solve(normal, whitened.T) / sigma
+    gain: FloatArray = root @ solved(whitened.T @ whitened + np.diag(prior), whitened.T) / sigma
     return gain
 
 
 def _posterior(
     belief: Belief,
     gain: FloatArray,
-    chart: FloatArray,
+    to_body: FloatArray,
     dense: FloatArray,
     noise: Mapping[str, FloatArray],
     phase: str,
 ) -> dict[str, FloatArray]:
-    """Contributions after an update. Joseph form: error = (I - K H) B^-1 prior error - K noise."""
-    kept = (np.eye(belief.size) - gain @ dense) @ chart
+    """Contributions after an update. Joseph form: error = (I - K H) B^-1 prior error - K noise.
+
+    A flat freedom has no prior error, and I - K H is zero along it.
+    """
+    kept = (np.eye(belief.size) - gain @ dense) @ to_body
     contributions = {source: kept @ matrix @ kept.T for source, matrix in belief.contributions.items()}
     for source, variance in noise.items():
         if variance.any():
@@ -229,18 +261,21 @@ def _posterior(
 
 
 def _joint_chi2(
-    problem: Problem, fit: Fit, chart: FloatArray, dense: FloatArray, variance: FloatArray
+    chart: Chart, fit: Fit, to_body: FloatArray, dense: FloatArray, variance: FloatArray
 ) -> float:
     """Minimum of the joint cost; with considered blocks, that of its linear model with them free."""
     residual = fit.rows.residual_m[fit.used] / np.sqrt(variance)
-    at_minimum = float(residual @ residual + fit.z @ fit.z)
-    if not problem.considers:
+    at_minimum = float(residual @ residual + fit.z @ (chart.prior_rows * fit.z))
+    if not chart.considers:
         return at_minimum
     innovation = residual - (fit.jacobian[fit.used] @ fit.z) / np.sqrt(variance)
-    whitened = dense @ chart @ square_root(problem.belief.covariance) / np.sqrt(variance)[:, None]
-    normal = whitened.T @ whitened + np.eye(whitened.shape[1])
+    root = square_root(chart.belief.prior_covariance)
+    prior = prior_rows(chart.belief, root)
+    whitened = dense @ to_body @ root / np.sqrt(variance)[:, None]
     projected = whitened.T @ innovation
-    return float(innovation @ innovation - projected @ np.linalg.solve(normal, projected))
+    return float(
+        innovation @ innovation - projected @ solved(whitened.T @ whitened + np.diag(prior), projected)
+    )
 
 
 def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:

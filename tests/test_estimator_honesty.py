@@ -11,6 +11,7 @@ from controller.knowledge import first_belief, joint_variance, observations, wit
 from controller.planning import plan_coarse_localize, plan_hand_eye
 from controller.planning.steps import Step
 from controller.samples import Sample
+from estimation.measurement import Chain
 from estimation.solver import update
 from estimation.transform import FloatArray
 from simulators.world.truth import Truth, draw_truth, stream
@@ -78,10 +79,12 @@ def campaign() -> tuple[Honesty, Honesty]:
     for seed in SEEDS:
         truth = draw_truth(file, seed)
         samples = [s for s in _measure(cell, file, truth, plate_steps, "plate") if s.good]
-        belief = update(start, arm, observations(cell, samples), phase="hand-eye").belief
+        belief = update(start, Chain(arm, observations(cell, samples)), phase="hand-eye").belief
         hand_eye.append(nees(laser_error(belief, truth), belief.block_covariance("laser")))
         samples = [s for s in _measure(cell, file, truth, part_steps, "part") if s.good]
-        belief = update(with_part(belief, cell), arm, observations(cell, samples), phase="localize").belief
+        belief = update(
+            with_part(belief, cell), Chain(arm, observations(cell, samples)), phase="localize"
+        ).belief
         part.append(nees(part_error(belief, truth), belief.block_covariance("part")))
     return Honesty(5, np.array(hand_eye)), Honesty(6, np.array(part))
 

@@ -13,7 +13,7 @@ from controller.planning import more_hand_eye, plan_hand_eye
 from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
-from estimation.measurement import point_jacobian
+from estimation.measurement import Chain, point_jacobian
 from estimation.solver import update
 
 OUTLIER_LEVEL = 0.001  # probability that an honest batch loses a row
@@ -34,8 +34,7 @@ class HandEyePhase(OnePlan):
         batches = observations(context.cell, good(samples))
         fit = update(
             prior,
-            context.arm,
-            batches,
+            Chain(context.arm, batches),
             targets=("laser", "plate"),
             phase="hand-eye",
             reject_level=OUTLIER_LEVEL,

@@ -16,6 +16,7 @@ from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
 from estimation.kinematics import ArmModel
+from estimation.measurement import Chain
 from estimation.solver import predict, update
 from estimation.statistics import Outcome, decide
 from estimation.surfaces import Feature
@@ -49,15 +50,15 @@ class InspectPhase(OnePlan):
         touches = good(samples, "touch")
         qualified = update(
             prior,
-            context.arm,
-            observations(cell, [sample for sample in touches if sample.object == "sphere"]),
+            Chain(
+                context.arm, observations(cell, [sample for sample in touches if sample.object == "sphere"])
+            ),
             targets=("probe", "sphere"),
             phase="stylus",
         )
         fit = update(
             prior,
-            context.arm,
-            observations(cell, touches),
+            Chain(context.arm, observations(cell, touches)),
             targets=_inspected(cell),
             phase="touch",
             reject_level=OUTLIER_LEVEL,
@@ -201,7 +202,7 @@ def _position(cell: Cell, belief: Belief, feature: Feature, datums: Sequence[str
 
 def _flatness(cell: Cell, arm: ArmModel, belief: Belief, touches: Sequence[Sample]) -> Measured:
     """Range of the touches about their least-squares plane; u from the full covariance before the fit."""
-    prediction = predict(belief, arm, observations(cell, touches))
+    prediction = predict(belief, Chain(arm, observations(cell, touches)))
     face = next(feature for feature in part_features(cell) if feature.name == touches[0].feature)
     local = _positions(cell, arm, belief, touches)
     u, v = _in_plane(np.asarray(face.axis))

@@ -12,7 +12,7 @@ from controller.planning import more_localize, plan_coarse_localize, plan_locali
 from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
-from estimation.measurement import object_point_jacobian
+from estimation.measurement import Chain, object_point_jacobian
 from estimation.solver import update
 
 OUTLIER_LEVEL = 0.001
@@ -55,8 +55,7 @@ class LocalizePhase(OnePlan):
         prior = with_part(context.belief, context.cell)
         return update(
             prior,
-            context.arm,
-            observations(context.cell, hits),
+            Chain(context.arm, observations(context.cell, hits)),
             phase="search",
             robust="huber",
             reject_level=OUTLIER_LEVEL,
@@ -68,8 +67,7 @@ class LocalizePhase(OnePlan):
         prior = with_part(context.belief, context.cell)
         fit = update(
             prior,
-            context.arm,
-            observations(context.cell, good(samples)),
+            Chain(context.arm, observations(context.cell, good(samples))),
             targets=("part",),
             phase="localize",
             robust="huber",

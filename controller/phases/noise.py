@@ -14,7 +14,8 @@ from controller.phases.findings import message
 from controller.planning import plan_noise
 from controller.planning.steps import Step
 from controller.samples import Sample
-from estimation.measurement import evaluate
+from estimation.measurement import Chain
+from estimation.model import evaluate
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
@@ -106,7 +107,7 @@ def _point_proof(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample
     if len(patch) < 6:
         return None
     belief = with_plate(first_belief(context.cell), context.cell)
-    rows = evaluate(belief, context.arm, observations(context.cell, patch))
+    rows = evaluate(belief, Chain(context.arm, observations(context.cell, patch)))
     plane = np.column_stack([rows.jacobian["plate"][:, [2, 3, 4]]])  # height and two tilts
     solution, *_ = np.linalg.lstsq(plane, rows.residual_m, rcond=None)
     remaining = rows.residual_m - plane @ solution

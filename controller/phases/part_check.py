@@ -14,6 +14,7 @@ from controller.phases.base import Finding, OnePlan, PhaseContext, checked_phase
 from controller.planning import plan_part_check
 from controller.planning.steps import Step
 from controller.samples import Sample
+from estimation.measurement import Chain
 from estimation.solver import predict
 from estimation.statistics import Outcome
 
@@ -41,7 +42,7 @@ class PartCheckPhase(OnePlan):
         points = good(samples)
         localize = checked_phase(context, job.LocalizePhase)
         batches = observations(context.cell, points)
-        prediction = predict(context.belief, context.arm, batches)
+        prediction = predict(context.belief, Chain(context.arm, batches))
         own_u_m = np.sqrt(prediction.noise_variance)  # of the check itself
         guarded_m = localize.limit_m - GUARD * own_u_m
         excess = np.abs(prediction.residual_m) - guarded_m

@@ -9,7 +9,8 @@ from controller.knowledge import first_belief, observations, with_plate
 from controller.samples import Sample
 from estimation.errors import DeviceError
 from estimation.kinematics import ArmModel
-from estimation.measurement import evaluate
+from estimation.measurement import Chain
+from estimation.model import evaluate
 
 FACTOR = 4.0  # standard deviations: an honest cell fails one reference in 16,000
 
@@ -33,7 +34,7 @@ def reference_excess(cell: Cell, arm: ArmModel, before: Sample, again: Sample) -
             f"The reference point cannot be measured: {again.why}", "Look at laser and plate, then Unhold"
         )
     belief = with_plate(first_belief(cell), cell)
-    rows = evaluate(belief, arm, observations(cell, [before, again]))
+    rows = evaluate(belief, Chain(arm, observations(cell, [before, again])))
     moved_m = float(abs(rows.residual_m[1] - rows.residual_m[0]))
     limit_m = float(FACTOR * np.sqrt(rows.noise_variance.sum()))
     return Moved(moved_m, limit_m) if moved_m > limit_m else None

@@ -23,7 +23,7 @@ from controller.planning.workspace import SIGMAS, Candidates, Workspace, observa
 from estimation.belief import Belief
 from estimation.errors import CellError, Unreachable
 from estimation.kinematics import ArmModel
-from estimation.measurement import Points, object_point_jacobian, point_jacobian
+from estimation.measurement import Chain, Points, object_point_jacobian, point_jacobian
 from estimation.solver import predicted_belief
 from estimation.transform import FloatArray, exp_pose
 
@@ -135,7 +135,7 @@ def _hand_eye(
     pool = plate_candidates(workspace, seed + first)
     points, names = hand_eye_points(belief, ranges_m)
     chosen = choose(workspace, pool, points.jacobian, count)
-    predicted = predicted_belief(belief, arm, [observations_of(workspace, chosen)], name)
+    predicted = predicted_belief(belief, Chain(arm, [observations_of(workspace, chosen)]), name)
     steps = named(laser_steps(workspace, chosen, note), name, first)
     return Plan(steps, gated_predictions(predicted, points, names), predicted)
 
@@ -170,7 +170,7 @@ def _part_plan(
     points, names = corner_points(workspace.cell, workspace.belief)
     chosen = choose(workspace, pool, points.jacobian, count, blocked, face_limit)
     taken = [observations_of(workspace, chosen)]
-    predicted = predicted_belief(workspace.belief, workspace.arm, taken, name)
+    predicted = predicted_belief(workspace.belief, Chain(workspace.arm, taken), name)
     steps = named(laser_steps(workspace, chosen, note), name, first)
     return Plan(steps, gated_predictions(predicted, points, names), predicted)
 

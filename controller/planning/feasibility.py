@@ -14,7 +14,7 @@ from controller.planning.plan import GatedPrediction, gated_predictions
 from controller.planning.workspace import Candidates, Workspace, observations_of
 from estimation.belief import Belief
 from estimation.kinematics import ArmModel
-from estimation.measurement import Points
+from estimation.measurement import Chain, Points
 from estimation.solver import predicted_belief
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
@@ -143,7 +143,9 @@ def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase)
 def _best(workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str) -> Belief:
     gates: FloatArray = points.jacobian
     chosen = choose(workspace, pool, gates, min(count, len(pool)))
-    return predicted_belief(workspace.belief, workspace.arm, [observations_of(workspace, chosen)], phase)
+    return predicted_belief(
+        workspace.belief, Chain(workspace.arm, [observations_of(workspace, chosen)]), phase
+    )
 
 
 def _worst(belief: Belief, points: Points, names: tuple[str, ...]) -> GatedPrediction:

@@ -18,6 +18,7 @@ from estimation.belief import Belief
 from estimation.cad import CadFace
 from estimation.errors import Unreachable
 from estimation.kinematics import ArmModel
+from estimation.measurement import Chain
 from estimation.solver import predicted_belief
 from estimation.transform import FloatArray
 
@@ -47,7 +48,7 @@ def plan_inspect(cell: Cell, belief: Belief, arm: ArmModel, spec: job.InspectPha
         groups.append((name, _fixed_touches(workspace, name, count, points)))
     steps = named(touch_steps(workspace, groups), spec.name)
     taken = [observations_of(workspace, touches.contact) for _, touches in groups]
-    return Plan(steps, (), predicted_belief(belief, arm, taken, spec.name))
+    return Plan(steps, (), predicted_belief(belief, Chain(arm, taken), spec.name))
 
 
 def _wanted(cell: Cell) -> dict[str, int]:

@@ -13,7 +13,8 @@ from controller.planning.paths import carrying
 from controller.planning.poses import BoolArray, IntArray
 from estimation.belief import Belief
 from estimation.kinematics import ArmModel
-from estimation.measurement import Observations, Rows, evaluate, object_point_jacobian
+from estimation.measurement import Chain, Observations, object_point_jacobian
+from estimation.model import Rows, evaluate
 from estimation.surfaces import Feature
 from estimation.transform import FloatArray, Transform
 
@@ -165,7 +166,7 @@ def range_variance(cell: Cell) -> float:
 
 def rows_of(workspace: Workspace, candidates: Candidates) -> Rows:
     """Residuals and derivatives of the candidates at the belief's values."""
-    return evaluate(workspace.belief, workspace.arm, [observations_of(workspace, candidates)])
+    return evaluate(workspace.belief, Chain(workspace.arm, [observations_of(workspace, candidates)]))
 
 
 def features_of(workspace: Workspace, name: str) -> tuple[Feature, ...]:

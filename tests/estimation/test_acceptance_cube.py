@@ -12,7 +12,7 @@ from estimation.belief import Belief
 from estimation.covariance import PoseCovariance, ellipsoid
 from estimation.inverse_kinematics import solve
 from estimation.kinematics import ArmModel
-from estimation.measurement import Observations
+from estimation.measurement import Chain, Observations
 from estimation.solver import update
 from estimation.surfaces import plane
 from estimation.transform import FloatArray, Transform, log_pose, skew
@@ -108,7 +108,7 @@ def test_row_1_first_order_uncertainty_of_a_cube_corner(length_mm: float) -> Non
 def test_row_1_by_the_estimator_of_the_cell(prbt: ArmModel, length_mm: float) -> None:
     points, normals = cube_points(length_mm)
     observed = touches(prbt, points * MM, normals.argmax(axis=1), sigma_m=1 * MM)
-    result = update(belief_without_knowledge(), prbt, [observed])
+    result = update(belief_without_knowledge(), Chain(prbt, [observed]))
     cube = PoseCovariance(result.belief.transform("cube"), result.belief.block_covariance("cube"))
     axes_mm = ellipsoid(cube.point_covariance(CORNER_MM * MM)).axes / MM
     assert axes_mm == pytest.approx(FIRST_ORDER[length_mm], rel=5e-4)
@@ -130,7 +130,7 @@ def test_monte_carlo_and_the_cell_have_the_same_estimator(prbt: ArmModel) -> Non
     measured = points + np.random.default_rng(4).normal(size=points.shape)
     rotation, origin = fit_all(measured[None], normals)
     observed = touches(prbt, measured * MM, normals.argmax(axis=1), sigma_m=1 * MM)
-    found = update(belief_without_knowledge(), prbt, [observed]).belief.transform("cube")
+    found = update(belief_without_knowledge(), Chain(prbt, [observed])).belief.transform("cube")
     by_batch = np.eye(4)
     by_batch[:3, :3], by_batch[:3, 3] = rotation[0], origin[0] * MM
     apart = log_pose(np.linalg.inv(by_batch) @ BASE_T_CUBE.inverse().matrix @ found.matrix)

@@ -4,7 +4,7 @@ import pytest
 from estimation.belief import Belief
 from estimation.bump import BumpTest, bump_test
 from estimation.errors import EstimationError
-from estimation.measurement import Observations
+from estimation.measurement import Chain, Observations
 from estimation.solver import update
 from tests.estimation import twin, twin_poses
 
@@ -24,7 +24,7 @@ BUMPS = {
 def calibrated(rng: np.random.Generator) -> tuple[twin.Truth, Belief]:
     truth, q = twin.Truth.drawn(rng, SIZES), twin_poses.plate_poses(240)[:80]
     observed = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), SIZES), SIZES)
-    belief = update(twin.with_plate(twin.laser_belief(SIZES), SIZES), ARM, [observed]).belief
+    belief = update(twin.with_plate(twin.laser_belief(SIZES), SIZES), Chain(ARM, [observed])).belief
     return truth, twin.with_bar(belief, SIZES)
 
 

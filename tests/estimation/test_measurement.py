@@ -10,12 +10,13 @@ from estimation.measurement import (
     RANGE_NOISE,
     SURFACE,
     TOUCH_NOISE,
+    Chain,
     Observations,
     Points,
-    evaluate,
     object_point_jacobian,
     point_jacobian,
 )
+from estimation.model import evaluate
 from estimation.surfaces import Feature, cylinder, sphere_features
 from estimation.transform import FloatArray, Transform
 from tests.estimation import twin, twin_poses
@@ -117,12 +118,14 @@ def test_noise_free_readings_of_a_cell_that_is_as_believed_leave_no_residual() -
     seen = np.isfinite(bar_readings)
     rows = evaluate(
         belief.replaced(values, belief.contributions),
-        ARM,
-        [
-            twin.laser_observations("plate", plate, truth.plate_readings(plate), SIZES),
-            twin.laser_observations("bar", bar[seen], bar_readings[seen], SIZES, second[seen]),
-            twin.laser_observations("part", part, truth.part_readings(part, face), SIZES, face),
-        ],
+        Chain(
+            ARM,
+            [
+                twin.laser_observations("plate", plate, truth.plate_readings(plate), SIZES),
+                twin.laser_observations("bar", bar[seen], bar_readings[seen], SIZES, second[seen]),
+                twin.laser_observations("part", part, truth.part_readings(part, face), SIZES, face),
+            ],
+        ),
     )
     assert seen.sum() > 20
     assert np.abs(rows.residual_m).max() < 1e-14
@@ -131,12 +134,12 @@ def test_noise_free_readings_of_a_cell_that_is_as_believed_leave_no_residual() -
 def test_row_20_every_jacobian_against_central_differences() -> None:
     rng = np.random.default_rng(2)
     belief, observed = everything(rng), batches(rng)
-    jacobian = evaluate(belief, ARM, observed).dense(belief)
+    jacobian = evaluate(belief, Chain(ARM, observed)).dense(belief)
     h = 1e-5
     numeric = np.column_stack(
         [
-            evaluate(moved(belief, step), ARM, observed).residual_m
-            - evaluate(moved(belief, -step), ARM, observed).residual_m
+            evaluate(moved(belief, step), Chain(ARM, observed)).residual_m
+            - evaluate(moved(belief, -step), Chain(ARM, observed)).residual_m
             for step in np.eye(belief.size) * h
         ]
     ) / (2 * h)
@@ -150,18 +153,22 @@ def test_row_20_noise_sensitivities_against_central_differences() -> None:
     belief = everything(rng)
     h = 1e-6
     for batch in batches(rng):
-        noise = evaluate(belief, ARM, [batch]).noise
+        noise = evaluate(belief, Chain(ARM, [batch])).noise
         variance = np.zeros(len(batch))
         for joint in range(6):
             ends = []
             for sign in (h, -h):
                 q = batch.joints_rad + sign * np.eye(6)[joint]
-                ends.append(evaluate(belief, ARM, [_with(batch, q, batch.reading_m)]).residual_m)
+                ends.append(evaluate(belief, Chain(ARM, [_with(batch, q, batch.reading_m)])).residual_m)
             variance += ((ends[0] - ends[1]) / (2 * h)) ** 2 * batch.joint_variance[:, joint]
         assert noise[JOINT_NOISE] == pytest.approx(variance, rel=1e-5)
         if batch.sensor == "laser":
-            up = evaluate(belief, ARM, [_with(batch, batch.joints_rad, batch.reading_m + h)]).residual_m
-            down = evaluate(belief, ARM, [_with(batch, batch.joints_rad, batch.reading_m - h)]).residual_m
+            up = evaluate(
+                belief, Chain(ARM, [_with(batch, batch.joints_rad, batch.reading_m + h)])
+            ).residual_m
+            down = evaluate(
+                belief, Chain(ARM, [_with(batch, batch.joints_rad, batch.reading_m - h)])
+            ).residual_m
             expected = ((up - down) / (2 * h)) ** 2 * batch.reading_variance
             assert noise[RANGE_NOISE] == pytest.approx(expected, rel=1e-5)
         else:
@@ -204,7 +211,7 @@ def test_row_20_jacobians_of_gated_points_against_central_differences() -> None:
 def test_batches_in_another_order_give_the_same_rows() -> None:
     rng = np.random.default_rng(5)
     belief, observed = everything(rng), batches(rng)
-    rows, back = evaluate(belief, ARM, observed), evaluate(belief, ARM, observed[::-1])
+    rows, back = evaluate(belief, Chain(ARM, observed)), evaluate(belief, Chain(ARM, observed[::-1]))
     first = len(observed[0])
     assert np.array_equal(rows.residual_m[:first], back.residual_m[-first:])
     assert np.array_equal(rows.noise_variance[:first], back.noise_variance[-first:])
@@ -214,7 +221,7 @@ def test_what_is_missing_or_broken_is_named() -> None:
     belief = twin.laser_belief(SIZES)
     q = twin_poses.plate_poses(240)[:4]
     with pytest.raises(EstimationError, match="no pose 'plate'"):
-        evaluate(belief, ARM, [twin.laser_observations("plate", q, np.full(4, 0.08), SIZES)])
+        evaluate(belief, Chain(ARM, [twin.laser_observations("plate", q, np.full(4, 0.08), SIZES)]))
     with pytest.raises(EstimationError, match="reading_m"):
         twin.laser_observations("plate", q, np.array([0.08, np.nan, 0.08, 0.08]), SIZES)
     with pytest.raises(EstimationError, match=r"reading_m.*\(3,\), expected \(4,\)"):
@@ -224,5 +231,6 @@ def test_what_is_missing_or_broken_is_named() -> None:
     bore = cylinder("bore", np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.01, False, "part.bore")
     with pytest.raises(EstimationError, match=r"no vector 'part\.bore'"):
         evaluate(
-            everything(np.random.default_rng(1)).without(["part.bore"]), ARM, [touches("part", q, (bore,))]
+            everything(np.random.default_rng(1)).without(["part.bore"]),
+            Chain(ARM, [touches("part", q, (bore,))]),
         )

@@ -3,6 +3,7 @@ import pytest
 
 from estimation.belief import Belief
 from estimation.errors import DegenerateGeometry
+from estimation.measurement import Chain
 from estimation.observability import RankReport
 from estimation.solver import update
 from estimation.transform import FloatArray, Transform
@@ -17,7 +18,7 @@ def laser_plane(q: FloatArray, belief: Belief | None = None) -> RankReport:
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES) if belief is None else belief
     readings = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0)).plate_readings(q)
     observed = twin.laser_observations("plate", q, readings, SIZES)
-    report = update(prior, ARM, [observed], targets=HAND_EYE).rank
+    report = update(prior, Chain(ARM, [observed]), targets=HAND_EYE).rank
     assert report is not None
     return report
 
@@ -72,7 +73,7 @@ def test_a_part_seen_from_above_only_names_the_faces_that_are_missing() -> None:
     readings = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0)).part_readings(q, face)
     prior = twin.with_part(twin.laser_belief(SIZES), SIZES)
     observed = twin.laser_observations("part", q, readings, SIZES, face)
-    report = update(prior, ARM, [observed], targets=("part",)).rank
+    report = update(prior, Chain(ARM, [observed]), targets=("part",)).rank
     assert report is not None and (report.rank, report.unknowns) == (3, 6)
     words = [direction.words for direction in report.missing]
     assert "translation of the part along x is not seen by the measurements" in words

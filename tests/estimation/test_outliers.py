@@ -3,7 +3,7 @@ import pytest
 
 from estimation.errors import EstimationError
 from estimation.fitting import Robust
-from estimation.measurement import Observations, object_point_jacobian
+from estimation.measurement import Chain, Observations, object_point_jacobian
 from estimation.solver import update
 from estimation.transform import FloatArray
 from tests.estimation import twin, twin_poses
@@ -31,7 +31,7 @@ def localization(seed: int, outliers: dict[int, float]) -> tuple[Observations, F
 
 def corner_error(observed: Observations, corners: FloatArray, **options: object) -> float:
     prior = twin.with_part(twin.laser_belief(KNOWN, kinematics=False), KNOWN, form=False)
-    result = update(prior, ARM, [observed], **options)  # type: ignore[arg-type]
+    result = update(prior, Chain(ARM, [observed]), **options)  # type: ignore[arg-type]
     points = object_point_jacobian(result.belief, "part", CORNERS).points_m
     return float(np.linalg.norm(points - corners, axis=1).max())
 
@@ -52,7 +52,7 @@ def test_row_19_one_outlier_of_5_mm_among_26_costs_next_to_nothing(robust: Robus
 def test_two_outliers_that_hide_each_other_are_found_and_named_by_row() -> None:
     observed, _ = localization(3, {4: 5e-3, 9: 5e-3})
     prior = twin.with_part(twin.laser_belief(KNOWN, kinematics=False), KNOWN, form=False)
-    result = update(prior, ARM, [observed], robust="cauchy", reject_level=0.01)
+    result = update(prior, Chain(ARM, [observed]), robust="cauchy", reject_level=0.01)
     assert np.flatnonzero(result.rejected).tolist() == [4, 9]
     assert (np.abs(result.standardised[[4, 9]]) > 20).all()
     assert (np.abs(result.standardised[~result.rejected]) < 4).all()
@@ -65,10 +65,10 @@ def test_honest_data_lose_no_row() -> None:
     rejected = 0
     for seed in range(50):
         observed, _ = localization(seed, {})
-        gated = update(prior, ARM, [observed], robust="huber", reject_level=0.01)
+        gated = update(prior, Chain(ARM, [observed]), robust="huber", reject_level=0.01)
         rejected += int(gated.rejected.any())
         if not gated.rejected.any():
-            plain = update(prior, ARM, [observed])
+            plain = update(prior, Chain(ARM, [observed]))
             assert gated.chi2 == pytest.approx(plain.chi2, rel=1e-9)
     assert rejected <= 3
 
@@ -78,4 +78,4 @@ def test_more_than_a_tenth_of_contradictions_is_no_result() -> None:
     prior = twin.with_part(twin.laser_belief(KNOWN, kinematics=False), KNOWN, form=False)
     for robust in ("none", "cauchy"):
         with pytest.raises(EstimationError, match="More than 2 of 26"):
-            update(prior, ARM, [observed], robust=robust, reject_level=0.01)
+            update(prior, Chain(ARM, [observed]), robust=robust, reject_level=0.01)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimation.belief import Belief
-from estimation.measurement import Observations, object_point_jacobian
+from estimation.measurement import Chain, Observations, object_point_jacobian
 from estimation.solver import predicted_belief, update
 from estimation.transform import FloatArray, Transform
 from tests.estimation import twin, twin_poses
@@ -37,7 +37,7 @@ def largest_std(belief: Belief) -> float:
 
 def test_row_14_repeating_26_points_does_not_beat_a_shared_hand_eye_error() -> None:
     stds = [
-        largest_std(update(prior(), ARM, [repeated(times)], consider=HAND_EYE).belief)
+        largest_std(update(prior(), Chain(ARM, [repeated(times)]), consider=HAND_EYE).belief)
         for times in (1, 10, 100)
     ]
     assert stds == pytest.approx([stds[0]] * 3, rel=0.01)
@@ -58,7 +58,7 @@ def test_row_14_estimated_jointly_the_floor_is_that_of_what_the_poses_cannot_see
         observed = twin.laser_observations(
             "part", np.tile(q, (times, 1)), np.full(26 * times, 0.08), shift, None, top
         )
-        stds.append(float(predicted_belief(belief, ARM, [observed]).std("part")[0]))
+        stds.append(float(predicted_belief(belief, Chain(ARM, [observed])).std("part")[0]))
     assert stds == pytest.approx([1e-4] * 3, rel=0.01)
 
 
@@ -75,7 +75,7 @@ def test_row_15_consider_covariance_is_that_of_monte_carlo_with_one_hand_eye_dra
     misses, variances, chi2 = [], [], []
     for run in range(600):
         observed = twin.laser_observations("part", joints[run], readings[run], noisy, face, features)
-        result = update(belief, ARM, [observed], consider=HAND_EYE)
+        result = update(belief, Chain(ARM, [observed]), consider=HAND_EYE)
         actual = twin.pose(np.array([*twin.PART_M, 0, 0, 0])) @ twin.pose(truths.part[run])
         points = object_point_jacobian(result.belief, "part", CORNERS)
         misses.append(points.points_m - (CORNERS @ actual[:3, :3].T + actual[:3, 3]))
@@ -89,6 +89,6 @@ def test_row_15_consider_covariance_is_that_of_monte_carlo_with_one_hand_eye_dra
 
 
 def test_joint_treatment_is_never_worse_than_consider() -> None:
-    joint = largest_std(update(prior(), ARM, [repeated(1)]).belief)
-    considered = largest_std(update(prior(), ARM, [repeated(1)], consider=HAND_EYE).belief)
+    joint = largest_std(update(prior(), Chain(ARM, [repeated(1)])).belief)
+    considered = largest_std(update(prior(), Chain(ARM, [repeated(1)]), consider=HAND_EYE).belief)
     assert joint <= considered * (1 + 1e-9)

@@ -7,7 +7,8 @@ from scipy.stats import chi2 as chi_square
 
 from estimation.belief import Belief
 from estimation.errors import EstimationError
-from estimation.measurement import evaluate, object_point_jacobian, point_jacobian
+from estimation.measurement import Chain, object_point_jacobian, point_jacobian
+from estimation.model import evaluate
 from estimation.solver import Update, information_rows, predict, predicted_belief, update
 from estimation.transform import FloatArray
 from tests.estimation import twin, twin_poses
@@ -24,7 +25,7 @@ def hand_eye(
     q = twin_poses.plate_poses(240)[:count]
     prior = twin.with_plate(twin.laser_belief(sizes), sizes)
     observed = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), sizes), sizes)
-    return truth, prior, update(prior, ARM, [observed], phase="hand-eye", **options)  # type: ignore[arg-type]
+    return truth, prior, update(prior, Chain(ARM, [observed]), phase="hand-eye", **options)  # type: ignore[arg-type]
 
 
 def errors(truth: twin.Truth, belief: Belief) -> FloatArray:
@@ -49,8 +50,8 @@ def test_row_18_the_fixed_point_is_the_map_estimate_not_least_squares() -> None:
     prior = twin.with_part(twin.laser_belief(sizes, kinematics=False), sizes, form=False)
     joints, readings = twin.noisy(rng, q, truth.part_readings(q, face), SIZES)
     observed = twin.laser_observations("part", joints, readings, SIZES, face, twin.face_features(form=False))
-    result = update(prior, ARM, [observed], tolerance=1e-10)
-    rows = evaluate(result.belief, ARM, [observed])
+    result = update(prior, Chain(ARM, [observed]), tolerance=1e-10)
+    rows = evaluate(result.belief, Chain(ARM, [observed]))
     jacobian, weight = rows.jacobian["part"], 1.0 / rows.noise_variance
     before, after = prior.transform("part"), result.belief.transform("part")
     turn = Rotation.from_matrix(before.rotation.T @ after.rotation)
@@ -97,8 +98,8 @@ def test_contributions_sum_to_the_covariance_of_information_form() -> None:
     # (H^T Q^-1 H + P0^-1)^-1, with scaled units so that the inverses are good; the chart differs by little.
     q = twin_poses.plate_poses(240)[:40]
     observed = twin.laser_observations("plate", q, np.zeros(40), SIZES)
-    nominal = predicted_belief(prior, ARM, [observed])
-    rows, variance = information_rows(prior, ARM, [observed])
+    nominal = predicted_belief(prior, Chain(ARM, [observed]))
+    rows, variance = information_rows(prior, Chain(ARM, [observed]))
     std = np.sqrt(np.diag(prior.covariance))
     scaled = rows * std / np.sqrt(variance)[:, None]
     expected = np.linalg.inv(scaled.T @ scaled + np.eye(prior.size)) * np.outer(std, std)
@@ -121,7 +122,7 @@ def test_noise_free_data_are_explained_to_the_last_digit() -> None:
     q = twin_poses.plate_poses(240)[:160]
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
     prior = prior.replaced({}, {"wide": 1e4 * prior.covariance})
-    result = update(prior, ARM, [twin.laser_observations("plate", q, truth.plate_readings(q), SIZES)])
+    result = update(prior, Chain(ARM, [twin.laser_observations("plate", q, truth.plate_readings(q), SIZES)]))
     assert np.abs(result.residual_m).max() < 5e-6
 
 
@@ -130,11 +131,11 @@ def test_the_order_of_measurements_does_not_matter() -> None:
     truth, q = twin.Truth.drawn(rng, SIZES), twin_poses.plate_poses(240)[:40]
     joints, readings = twin.noisy(rng, q, truth.plate_readings(q), SIZES)
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
-    one = update(prior, ARM, [twin.laser_observations("plate", joints, readings, SIZES)])
+    one = update(prior, Chain(ARM, [twin.laser_observations("plate", joints, readings, SIZES)]))
     mixed = rng.permutation(40)
     halves = [mixed[:13], mixed[13:]]
     other = update(
-        prior, ARM, [twin.laser_observations("plate", joints[h], readings[h], SIZES) for h in halves]
+        prior, Chain(ARM, [twin.laser_observations("plate", joints[h], readings[h], SIZES) for h in halves])
     )
     sigma = np.sqrt(np.diag(one.belief.covariance))
     assert np.abs((_chart(prior, one.belief) - _chart(prior, other.belief)) / sigma).max() < 1e-6
@@ -149,10 +150,10 @@ def test_hand_eye_then_localization_equals_both_at_once() -> None:
     plate = twin.laser_observations("plate", *twin.noisy(rng, q, truth.plate_readings(q), sizes), sizes)
     part_q, part_r = twin.noisy(rng, qp, truth.part_readings(qp, face), sizes)
     part = twin.laser_observations("part", part_q, part_r, sizes, face)
-    first = update(twin.with_plate(twin.laser_belief(sizes), sizes), ARM, [plate], tolerance=1e-10)
-    second = update(twin.with_part(first.belief, sizes), ARM, [part], tolerance=1e-10)
+    first = update(twin.with_plate(twin.laser_belief(sizes), sizes), Chain(ARM, [plate]), tolerance=1e-10)
+    second = update(twin.with_part(first.belief, sizes), Chain(ARM, [part]), tolerance=1e-10)
     prior = twin.with_part(twin.with_plate(twin.laser_belief(sizes), sizes), sizes)
-    batch = update(prior, ARM, [plate, part], tolerance=1e-10)
+    batch = update(prior, Chain(ARM, [plate, part]), tolerance=1e-10)
     corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.15) for z in (0, 0.1)])
     one, both = (object_point_jacobian(b.belief, "part", corners) for b in (second, batch))
     sigma = np.sqrt(np.trace(both.covariance(batch.belief), axis1=1, axis2=2))
@@ -179,7 +180,7 @@ def cells() -> list[tuple[twin.Truth, Update]]:
     found = []
     for i in range(count):
         observed = twin.laser_observations("plate", joints[i], readings[i], SIZES)
-        found.append((truths.cell(i), update(prior, ARM, [observed])))
+        found.append((truths.cell(i), update(prior, Chain(ARM, [observed]))))
     return found
 
 
@@ -212,7 +213,9 @@ def test_section_12_hand_eye_with_mid_errors_and_80_planned_poses() -> None:
     prior = twin.with_plate(twin.laser_belief(SIZES), SIZES)
     q = twin_poses.plate_poses(240)
     nominal = twin.Truth.drawn(np.random.default_rng(0), SIZES.times(0.0)).plate_readings(q)
-    rows, variance = information_rows(prior, ARM, [twin.laser_observations("plate", q, nominal, SIZES)])
+    rows, variance = information_rows(
+        prior, Chain(ARM, [twin.laser_observations("plate", q, nominal, SIZES)])
+    )
     gated = point_jacobian(prior, np.array([0.085])).jacobian[0]
     covariance, chosen = prior.covariance, list[int]()
     for _ in range(80):
@@ -224,12 +227,14 @@ def test_section_12_hand_eye_with_mid_errors_and_80_planned_poses() -> None:
         chosen.append(best)
         covariance = covariance - np.outer(across[best], across[best]) / innovation[best]
     planned = twin.laser_observations("plate", q[chosen], nominal[chosen], SIZES)
-    belief = predicted_belief(prior, ARM, [planned])
+    belief = predicted_belief(prior, Chain(ARM, [planned]))
     largest_m = np.sqrt(
         np.linalg.eigvalsh(point_jacobian(belief, np.array([0.085])).covariance(belief)[0])[-1]
     )
     assert 0.070e-3 < largest_m < 0.105e-3
-    random = predicted_belief(prior, ARM, [twin.laser_observations("plate", q[:80], nominal[:80], SIZES)])
+    random = predicted_belief(
+        prior, Chain(ARM, [twin.laser_observations("plate", q[:80], nominal[:80], SIZES)])
+    )
     other_m = np.sqrt(np.linalg.eigvalsh(point_jacobian(random, np.array([0.085])).covariance(random)[0])[-1])
     assert other_m > 1.3 * largest_m
     # Rank-one steps of a planner and the update of the estimator are the same arithmetic.
@@ -245,7 +250,9 @@ def test_a_prediction_expects_what_honest_cells_show() -> None:
     joints, readings = twin.noisy(rng, q, truths.plate_readings(q), SIZES.times(0.1))
     prior = twin.with_plate(twin.laser_belief(SIZES.times(0.1)), SIZES.times(0.1))
     chi2 = [
-        predict(prior, ARM, [twin.laser_observations("plate", joints[i], readings[i], SIZES.times(0.1))]).chi2
+        predict(
+            prior, Chain(ARM, [twin.laser_observations("plate", joints[i], readings[i], SIZES.times(0.1))])
+        ).chi2
         for i in range(count)
     ]
     assert _mean_is_chi_square(chi2, 20)
@@ -264,4 +271,4 @@ def test_impossible_data_are_refused() -> None:
     none = twin.laser_observations("plate", np.zeros((0, 6)), np.zeros(0), SIZES)
     for empty in ([], [none]):
         with pytest.raises(EstimationError, match="No observations"):
-            update(prior, ARM, empty)
+            update(prior, Chain(ARM, empty))

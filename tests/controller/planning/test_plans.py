@@ -14,6 +14,7 @@ from controller.planning.selection import largest_std
 from controller.planning.steps import route
 from controller.planning.workspace import Workspace, observations_of
 from estimation.kinematics import ArmModel
+from estimation.measurement import Chain
 from estimation.solver import predicted_belief
 from estimation.statistics import coverage_factor
 from estimation.transform import FloatArray
@@ -82,8 +83,10 @@ def test_planned_poses_beat_random_ones(planned: Planned) -> None:
             points.jacobian,
             predicted_belief(
                 planned.plate_prior,
-                planned.arm,
-                [observations_of(workspace, pool.take(random.choice(len(pool), 80, replace=False)))],
+                Chain(
+                    planned.arm,
+                    [observations_of(workspace, pool.take(random.choice(len(pool), 80, replace=False)))],
+                ),
             ).covariance,
         )
         for _ in range(5)
