@@ -17,10 +17,11 @@ from controller.planning.candidates import (
 )
 from controller.planning.plan import Plan, accessible, gated_predictions, laser_steps
 from controller.planning.poses import BoolArray
-from controller.planning.selection import select
 from controller.planning.steps import Step, named
 from controller.planning.workspace import SIGMAS, Candidates, Workspace, observations_of, rows_of
+from estimation import design
 from estimation.belief import Belief
+from estimation.design import DesignProblem
 from estimation.errors import CellError, Unreachable
 from estimation.kinematics import ArmModel
 from estimation.measurement import Chain, Points, object_point_jacobian, point_jacobian
@@ -188,15 +189,10 @@ def choose(
         if len(pool) < count:
             break
         rows = rows_of(workspace, pool)
-        selection = select(
-            workspace.belief.covariance,
-            rows.dense(workspace.belief),
-            rows.noise_variance,
-            gates,
-            count,
-            group=pool.feature_index if face_limit else None,
-            group_limit=face_limit,
+        problem = DesignProblem(
+            workspace.belief.covariance, rows.dense(workspace.belief), rows.noise_variance, gates
         )
+        selection = design.choose(problem, count, group=pool.feature_index, group_limit=face_limit)
         chosen = pool.take(selection.chosen)
         bad = ~accessible(workspace, chosen)
         if blocked is not None:

@@ -10,12 +10,13 @@ from controller.knowledge import part_faces
 from controller.planning.faces import FaceSampler
 from controller.planning.plan import Plan
 from controller.planning.poses import IntArray, directions_around
-from controller.planning.selection import select
 from controller.planning.steps import named
 from controller.planning.touches import HOVER_M, Aims, Touches, contacts_of, touch_steps, touches_of
 from controller.planning.workspace import Workspace, features_of, observations_of, rows_of
+from estimation import design
 from estimation.belief import Belief
 from estimation.cad import CadFace
+from estimation.design import DesignProblem
 from estimation.errors import Unreachable
 from estimation.kinematics import ArmModel
 from estimation.measurement import Chain
@@ -95,9 +96,10 @@ def _sphere_touches(workspace: Workspace, seed: int) -> Touches:
     rows = rows_of(workspace, possible.contact)
     gates = np.zeros((1, 3, workspace.belief.size))
     gates[0, :, workspace.belief.index("probe")] = np.eye(3)
-    chosen = select(
-        workspace.belief.covariance, rows.dense(workspace.belief), rows.noise_variance, gates, SPHERE_TOUCHES
-    ).chosen
+    problem = DesignProblem(
+        workspace.belief.covariance, rows.dense(workspace.belief), rows.noise_variance, gates
+    )
+    chosen = design.choose(problem, SPHERE_TOUCHES).chosen
     return possible.take(chosen)
 
 

@@ -10,7 +10,6 @@ from controller.knowledge import part_corners_m
 from controller.planning import Plan, Step, plan_hand_eye
 from controller.planning.candidates import plate_candidates
 from controller.planning.estimated import hand_eye_points
-from controller.planning.selection import largest_std
 from controller.planning.steps import route
 from controller.planning.workspace import Workspace, observations_of
 from estimation.kinematics import ArmModel
@@ -64,6 +63,11 @@ def _meets_face(part_o: FloatArray, part_d: FloatArray, face: str) -> tuple[bool
     return inside, distance, float(np.arccos(facing))
 
 
+def largest_std_m(judged: FloatArray) -> float:
+    """Of gated points with covariances (k, 3, 3)."""
+    return float(np.sqrt(np.linalg.eigvalsh(judged).max()))
+
+
 def test_eighty_planned_poses_reach_the_known_figure(planned: Planned) -> None:
     worst = planned.plans["hand-eye"].worst
     assert worst is not None
@@ -79,15 +83,16 @@ def test_planned_poses_beat_random_ones(planned: Planned) -> None:
     points, _ = hand_eye_points(planned.plate_prior, (0.060, 0.085, 0.110))
     random = np.random.default_rng(5)
     drawn = [
-        largest_std(
-            points.jacobian,
-            predicted_belief(
-                planned.plate_prior,
-                Chain(
-                    planned.arm,
-                    [observations_of(workspace, pool.take(random.choice(len(pool), 80, replace=False)))],
-                ),
-            ).covariance,
+        largest_std_m(
+            points.covariance(
+                predicted_belief(
+                    planned.plate_prior,
+                    Chain(
+                        planned.arm,
+                        [observations_of(workspace, pool.take(random.choice(len(pool), 80, replace=False)))],
+                    ),
+                )
+            )
         )
         for _ in range(5)
     ]
