@@ -118,7 +118,7 @@ class Acquisition:
         if fast is None:
             robot.move_joints(start)
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="nothing touched")
-        touch = self._touch_slowly(start, target, fast.joints_rad)
+        touch = self._touch_slowly(start, target, fast.joints_rad, fast.late_s)
         robot.move_joints(start)
         if touch is None:
             return replace(self._sample(step, before), quality=Quality.BAD.value, why="second touch missed")
@@ -131,17 +131,18 @@ class Acquisition:
         return replace(sample, joint_readings=contact.readings, reading_scatter_m=travel_m)
 
     def _touch_slowly(
-        self, start: FloatArray, target: FloatArray, found: FloatArray
+        self, start: FloatArray, target: FloatArray, found: FloatArray, late_s: float
     ) -> tuple[Contact, float] | None:
-        """Back off from a contact and touch again, until two polls were near enough to each other.
+        """Back off from a contact `found` at most `late_s` late, and touch again until known well enough.
 
-        Returns the joints in the middle of the way that the ball went between the polls, and that way (m).
+        Returns the joints in the middle of the way on which the contact lies, and the length of that way (m).
         """
         robot, probe, spec = self._devices.robot, self._devices.probe, self._cell.probe
         path_m = self._path_m(start, target)
-        late_m = spec.search_speed_m_s * probe.poll_uncertainty_s  # so far in when it was noticed
+        late_m = spec.search_speed_m_s * late_s  # so far in when it was noticed
         share = (BACK_OFF_M + late_m) / path_m
-        best_s, best = math.inf, Contact(found, 1.0)
+        robot_s = robot.abilities.contact_delay_s
+        best = Contact(found, 1.0, math.inf)
         for _ in range(SLOW_TOUCHES):
             robot.move_joints(found + (start - target) * min(1.0, share))
             while not probe.is_open():  # the ball was deeper than its link let us know
@@ -157,19 +158,19 @@ class Acquisition:
             )
             if contact is None:
                 return None
-            if probe.poll_uncertainty_s < best_s:
-                best_s, best = probe.poll_uncertainty_s, contact
-            if best_s <= GOOD_POLLS * spec.poll_period_s:
+            if contact.late_s < best.late_s:
+                best = contact
+            if best.late_s <= robot_s + GOOD_POLLS * spec.poll_period_s:
                 break
-        if best_s > WORST_POLLS * spec.poll_period_s:
+        if best.late_s > (limit_s := robot_s + WORST_POLLS * spec.poll_period_s):
             raise DeviceError(
-                f"{SLOW_TOUCHES} touches known to {best_s * 1e3:.0f} ms at best, "
-                f"limit {WORST_POLLS * spec.poll_period_s * 1e3:.0f} ms",
+                f"{SLOW_TOUCHES} touches known to {best.late_s * 1e3:.0f} ms at best, "
+                f"limit {limit_s * 1e3:.0f} ms",
                 "Check the network and the load of the computer, then Unhold",
             )
-        travel_m = spec.touch_speed_m_s * best_s
+        travel_m = spec.touch_speed_m_s * best.late_s
         middle = best.joints_rad + (start - target) * (travel_m / 2.0 / path_m)
-        return Contact(middle, best.readings), travel_m
+        return replace(best, joints_rad=middle), travel_m
 
     def _path_m(self, start: FloatArray, target: FloatArray) -> float:
         offset = self._cell.probe.mount.transform().origin_m

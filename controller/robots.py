@@ -3,18 +3,22 @@
 import math
 from typing import Final
 
-from controller.cellfile.robots import CanopenRobot, Robot
+from controller.cellfile.arm import Arm
+from controller.cellfile.robots import CanopenRobot, MelfaSerialRobot, MelfaTcpRobot, Robot
 from drivers import capabilities
 from drivers.clock import Clock
 from drivers.links.interfaces import Ports
 from drivers.robots.canopen_arm import CanopenArm
 from drivers.robots.canopen_arm_setup import ArmConfig
+from drivers.robots.controller_arm import ControllerArm, ControllerArmConfig
+from drivers.robots.melfa import MelfaConfig, MelfaController
 
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
 HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
 MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
 LATEST_ANSWER_S: Final = 0.02  # to a SYNC
 SDO_TIMEOUT_S: Final = 0.3
+MELFA_REPLY_S: Final = 0.5
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
 
 
@@ -22,7 +26,11 @@ def make_robot(
     robot: Robot, ports: Ports, clock: Clock, *, patience: float = 1.0, keep_alive_thread: bool = True
 ) -> capabilities.Robot:
     """The driver of a robot, not connected yet."""
-    return _canopen(robot, ports, clock, patience, keep_alive_thread)
+    match robot:
+        case CanopenRobot():
+            return _canopen(robot, ports, clock, patience, keep_alive_thread)
+        case MelfaTcpRobot() | MelfaSerialRobot():
+            return ControllerArm(_melfa(robot, ports, clock, patience), _arm_config(robot), clock)
 
 
 def _canopen(
@@ -49,3 +57,35 @@ def _canopen(
     )
     link = ports.can_bus("robot", robot.interface, robot.port, robot.bitrate)
     return CanopenArm(link, config, clock, keep_alive_thread=keep_alive_thread)
+
+
+def _arm_config(robot: Arm, **settings: float) -> ControllerArmConfig:
+    """What every arm behind a controller of its own is told."""
+    return ControllerArmConfig(
+        lower_rad=tuple(joint.limits_rad[0] for joint in robot.joints),
+        upper_rad=tuple(joint.limits_rad[1] for joint in robot.joints),
+        speed_limit_rad_s=robot.speed_rad_s,
+        acceleration_limit_rad_s2=robot.acceleration_rad_s2,
+        in_position_rad=robot.in_position_rad,
+        reading_noise_rad=robot.joint_noise_rad,
+        **settings,
+    )
+
+
+def _melfa(
+    robot: MelfaTcpRobot | MelfaSerialRobot, ports: Ports, clock: Clock, patience: float
+) -> MelfaController:
+    config = MelfaConfig(
+        max_speed_rad_s=robot.max_speed_rad_s,
+        model=robot.model,
+        robot=robot.robot_number,
+        slot=robot.slot,
+        terminator=robot.terminator,
+        program=robot.program,
+        reply_timeout_s=MELFA_REPLY_S * patience,
+        stop_delay_s=robot.stop_delay_s,
+    )
+    if isinstance(robot, MelfaSerialRobot):
+        return MelfaController(ports.serial("robot", robot.port, robot.baud, robot.framing), config, clock)
+    stop = None if robot.stop_port is None else ports.tcp("robot.stop", robot.host, robot.stop_port)
+    return MelfaController(ports.tcp("robot", robot.host, robot.port), config, clock, stop)

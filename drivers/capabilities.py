@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from estimation.transform import FloatArray
+from estimation.transform import FloatArray, Transform
 
 
 class Quality(StrEnum):
@@ -70,10 +70,35 @@ class Contact:
 
     joints_rad: FloatArray  # (joints,)
     readings: float  # how many readings averaged would be as noisy: 1 to 2 where two were interpolated
+    late_s: float  # the joints are those of at most so long after the contact, at the speed of the move
+
+
+class StopWay(StrEnum):
+    """How a request to stop reaches the arm."""
+
+    AT_ONCE = "at once"  # nothing has to end first
+    NEXT = "after the transaction in flight"
+    BETWEEN_STEPS = "between two steps"  # the robot cannot be stopped over its link: moves go in steps
+
+
+@dataclass(frozen=True, slots=True)
+class RobotAbilities:
+    """What an arm can do over its link, as far as a plan must know it."""
+
+    stop: StopWay
+    stop_delay_s: float  # longest time from the request to stop until the arm slows down
+    contact_delay_s: float  # share of the robot in `Contact.late_s`
+    joint_resolution_rad: float  # smallest step of a reading
+    linear_moves: bool = False  # it is a `LinearRobot`
+    reports_pose: bool = False  # it is a `PoseReporter`
 
 
 class Robot(Device, Protocol):
     """A jointed arm."""
+
+    @property
+    def abilities(self) -> RobotAbilities:
+        """What this arm can do."""
 
     def move_joints(self, target_rad: FloatArray, speed_fraction: float = 1.0) -> None:
         """Return when at rest within the in-position window of the target (joints,).
@@ -101,6 +126,20 @@ class Robot(Device, Protocol):
 
     def release(self) -> None:
         """Forget an earlier `stop`, so that motion is possible again."""
+
+
+class LinearRobot(Robot, Protocol):
+    """An arm whose controller moves the flange on a straight line."""
+
+    def move_linear(self, base_T_flange: Transform, speed_m_s: float) -> None:
+        """Return when at rest at the pose. Raises as `move_joints`."""
+
+
+class PoseReporter(Robot, Protocol):
+    """An arm whose controller computes where its flange is, by its own geometry."""
+
+    def read_pose(self) -> Transform:
+        """base_T_flange, freshly read. Raises DeviceError, DeviceTimeout, FrameError."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimation.errors import CellFileError
 from simulators.probes.adam6052 import Adam6052
-from simulators.robots.canopen_arm import SimulatedArm
+from simulators.robots.kinds import make_robot
 from simulators.sensors.optoncdt import OptoNcdt1420
 from simulators.world.contact import StylusContact
 from simulators.world.truth import draw_truth, stream
@@ -18,6 +18,7 @@ from simulators.world.world_file import read_world_file
 class CellModel:
     """The devices, wired to one world.
 
+    `robot` names the driver that shall find its robot; behind each protocol is the same mechanical arm.
     `motion_speed` shortens fast moves; `error_factor` and `noise_factor` 0 make a nominal, silent cell.
     Raises CellFileError.
     """
@@ -31,6 +32,7 @@ class CellModel:
         error_factor: float = 1.0,
         noise_factor: float = 1.0,
         cache_dir: Path | None = None,
+        robot: str = "canopen-402",
     ) -> None:
         self.file = file = read_world_file(world_dir)
         if scenario not in file.scenarios:
@@ -40,7 +42,7 @@ class CellModel:
         self.truth = draw_truth(file, seed, error_factor)
         joints = len(file.arm.nodes)
         factors = np.array(self.scenario.joint_noise_factors or [1.0] * joints) * noise_factor
-        self.arm = SimulatedArm(file.arm, stream(seed, "noise.joints"), factors, motion_speed)
+        self.arm = make_robot(robot, file.arm, stream(seed, "noise.joints"), factors, motion_speed)
         self.world = World(file, self.truth, self.arm, noise_factor, self.scenario.part_present, cache_dir)
         self.laser = OptoNcdt1420(
             file.laser,

@@ -10,9 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from estimation.errors import CellFileError
 from simulators.cell import CellModel
 from simulators.outlets import Loop, SerialOutlet, TcpOutlet
 from simulators.probes.adam6052 import ModbusConnection
+from simulators.robots.canopen_arm import SimulatedArm
 from simulators.slcan import SlcanDevice
 
 DEVICES: Final = ("arm", "laser", "probe")
@@ -29,7 +31,12 @@ class CellServer:
         self._model, self._run_dir = model, run_dir
         self._loop = loop = Loop(model.contact.update)
         run_dir.mkdir(parents=True, exist_ok=True)
-        arm = SerialOutlet(loop, run_dir / wires.arm, lambda: SlcanDevice(model.arm))
+        bus = model.arm
+        if not isinstance(bus, SimulatedArm):
+            raise CellFileError(
+                "Only the CANopen arm has a port here", "Simulate the robot alone: --device NAME"
+            )
+        arm = SerialOutlet(loop, run_dir / wires.arm, lambda: SlcanDevice(bus))
         laser = SerialOutlet(loop, run_dir / wires.laser, lambda: model.laser, lambda: model.laser.baud)
         port = wires.probe_port if probe_port is None else probe_port
         probe = TcpOutlet(loop, wires.probe_host, port, lambda: ModbusConnection(model.probe))

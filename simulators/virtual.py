@@ -12,6 +12,7 @@ from simulators.cell import CellModel
 from simulators.faults import FaultyBytes, FaultyCan, WireFaults
 from simulators.interfaces import ByteDevice, CanDevice, Frame
 from simulators.probes.adam6052 import ModbusConnection
+from simulators.robots.canopen_arm import SimulatedArm
 
 _OTHER_CELL = "Simulate the robot that the cell file names"
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
@@ -180,17 +181,28 @@ class SimulatedCell:
         error_factor: float = 1.0,
         noise_factor: float = 1.0,
         cache_dir: Path | None = None,
+        robot: str = "canopen-402",
     ) -> None:
         self.clock = VirtualClock()
-        self.model = CellModel(world_dir, seed, scenario, motion_speed, error_factor, noise_factor, cache_dir)
+        self.model = CellModel(
+            world_dir, seed, scenario, motion_speed, error_factor, noise_factor, cache_dir, robot
+        )
         self.truth, self.world = self.model.truth, self.model.world
         self.arm, self.contact = self.model.arm, self.model.contact
-        self.arm_link = VirtualCanLink("arm", self.clock, self.model.arm)
         self.laser_link = VirtualByteLink("laser", self.clock, lambda: self.model.laser)
         self.probe_link = VirtualByteLink("probe", self.clock, lambda: ModbusConnection(self.model.probe))
-        self.ports = VirtualPorts(
-            {"robot": self.arm_link, "laser": self.laser_link, "probe": self.probe_link}
-        )
+        links: dict[str, VirtualCanLink | VirtualByteLink] = {
+            name: VirtualByteLink(name, self.clock, connect)
+            for name, connect in self.model.arm.connections().items()
+        }
+        if isinstance(self.model.arm, SimulatedArm):
+            links["robot"] = VirtualCanLink("robot", self.clock, self.model.arm)
+        self.ports = VirtualPorts({**links, "laser": self.laser_link, "probe": self.probe_link})
+
+    @property
+    def arm_link(self) -> VirtualCanLink:
+        """The CAN bus of a CANopen arm."""
+        return self.ports.can_bus("robot", "", "", 0)
 
     def bump(self) -> None:
         """Knock the laser as the scenario says."""

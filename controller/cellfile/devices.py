@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, StringConstraints
 
-from controller.cellfile.tables import Placement, Table, Text
+from controller.cellfile.tables import Host, Placement, Table, Text
 from controller.quantities import Angle, Duration, Frequency, Length, Ratio, Speed
 
 
@@ -63,9 +63,7 @@ class Probe(Table):
 
     driver: Literal["adam-6052"]
     """Which driver speaks to it."""
-    host: Annotated[
-        str, StringConstraints(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.:-]*[A-Za-z0-9])?$", max_length=253)
-    ]
+    host: Host
     """Name or address of the module."""
     port: int = Field(default=502, ge=1, le=65535)
     """TCP port of the module."""

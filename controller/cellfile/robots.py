@@ -1,12 +1,13 @@
 """The tables of the robots: one for each driver, told apart by `driver`."""
 
+from math import radians
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from controller.cellfile.arm import Arm
-from controller.cellfile.tables import Text
-from controller.quantities import Duration
+from controller.cellfile.tables import Host, Text
+from controller.quantities import AngularSpeed, Duration
 
 
 class CanopenRobot(Arm):
@@ -28,4 +29,47 @@ class CanopenRobot(Arm):
     """The same far from the end of a free move, where less must be seen; at least `sync_period`."""
 
 
-Robot = CanopenRobot
+class MelfaRobot(Arm):
+    """What all Mitsubishi MELFA controllers have in common."""
+
+    max_speed_rad_s: AngularSpeed = Field(gt=0, le=radians(1000))
+    """Of the fastest joint at 100 %: what the percentages that the robot is told refer to."""
+    robot_number: int = Field(default=1, ge=1, le=3)
+    """Number of the robot at this controller."""
+    slot: int = Field(default=1, ge=1, le=33)
+    """Slot in which instructions are executed; some controllers need the edit slot, 9."""
+    program: str = Field(default="", pattern=r"^[A-Z0-9]*$", max_length=12)
+    """Empty program that the slot needs before it executes anything; "" loads none."""
+    terminator: Literal["CR", "CR LF", "none"] = "CR"
+    """End of a line, as the controller is set."""
+    stop_delay_s: Duration = Field(default=0.15, ge=0, le=5)
+    """Longest time from the request to stop until the arm slows down; a touch is as uncertain."""
+
+
+class MelfaTcpRobot(MelfaRobot):
+    """A Mitsubishi MELFA controller on Ethernet, R-protocol."""
+
+    driver: Literal["melfa-tcp"]
+    """Which driver speaks to it."""
+    host: Host
+    """Name or address of the controller."""
+    port: int = Field(default=10001, ge=1, le=65535)
+    """TCP port of the session for commands."""
+    stop_port: int | None = Field(default=None, ge=1, le=65535)
+    """TCP port of a second session, over which a stop waits for nothing; without it, it goes next."""
+
+
+class MelfaSerialRobot(MelfaRobot):
+    """A Mitsubishi MELFA controller on RS-232, R-protocol; a stop goes next after the answer in flight."""
+
+    driver: Literal["melfa-serial"]
+    """Which driver speaks to it."""
+    port: Text
+    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 9600
+    """Baud rate of the line."""
+    framing: Literal["8E2", "8E1", "8N1", "8N2", "8O1", "8O2"] = "8E2"
+    """Data bits, parity and stop bits of the line."""
+
+
+Robot = Annotated[CanopenRobot | MelfaTcpRobot | MelfaSerialRobot, Field(discriminator="driver")]

@@ -15,6 +15,9 @@ _UNIT_SUFFIX: Final = re.compile(r"_(m|rad|s|m_s|rad_s|rad_s2|hz)$")
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$", max_length=40)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+Host = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.:-]*[A-Za-z0-9])?$", max_length=253)
+]
 Count = Annotated[int, Field(ge=1, le=10_000)]
 
 

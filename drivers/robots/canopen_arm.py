@@ -12,7 +12,15 @@ from typing import Final
 
 import numpy as np
 
-from drivers.capabilities import Contact, Identity, JointReadings, LinkHealth, TouchProbe
+from drivers.capabilities import (
+    Contact,
+    Identity,
+    JointReadings,
+    LinkHealth,
+    RobotAbilities,
+    StopWay,
+    TouchProbe,
+)
 from drivers.clock import Clock
 from drivers.links.interfaces import CanLink
 from drivers.robots import canopen_arm_codec as codec
@@ -116,6 +124,16 @@ class CanopenArm:
 
     # --- Robot ---------------------------------------------------------------------------------------
 
+    @property
+    def abilities(self) -> RobotAbilities:
+        """Quick stop with a SYNC out of turn; a contact is interpolated between SYNCs."""
+        return RobotAbilities(
+            StopWay.AT_ONCE,
+            stop_delay_s=self._config.latest_answer_s,
+            contact_delay_s=0.0,
+            joint_resolution_rad=1.0 / self._config.counts_per_rad,
+        )
+
     def move_joints(self, target_rad: FloatArray, speed_fraction: float = 1.0) -> None:
         """Move on a straight line in joint space; returns at rest within the in-position window.
 
@@ -169,7 +187,7 @@ class CanopenArm:
             self._master.hurry()
             while self._motion_sample().time_s < touched_s:
                 pass
-            contact = self._units.contact_at(touched_s, list(self._master.samples))
+            contact = self._units.contact_at(touched_s, list(self._master.samples), probe.poll_uncertainty_s)
             self._halt_and_wait()
             return contact
 

@@ -58,8 +58,8 @@ class JointUnits:
         acceleration = [max(1, math.ceil(a * self._counts_per_rad)) for a in move.acceleration]
         return velocity, acceleration, move.duration_s
 
-    def contact_at(self, time_s: float, samples: Sequence[Sample]) -> Contact:
-        """The joints on the line between the samples before and after an instant.
+    def contact_at(self, time_s: float, samples: Sequence[Sample], late_s: float) -> Contact:
+        """The joints on the line between the samples before and after an instant, `late_s` as late at most.
 
         The variance of their mean is (1 - p)^2 + p^2 of one reading, p being the share of the later sample.
         """
@@ -69,7 +69,7 @@ class JointUnits:
         part = min(max((time_s - early.time_s) / span_s, 0.0), 1.0) if span_s > 0.0 else 1.0
         counts = (1.0 - part) * np.array(early.counts) + part * np.array(late.counts)
         readings = 1.0 / ((1.0 - part) ** 2 + part**2)
-        return Contact(np.asarray(counts / self._counts_per_rad, dtype=np.float64), readings)
+        return Contact(np.asarray(counts / self._counts_per_rad, dtype=np.float64), readings, late_s)
 
     def not_at_target(self, counts: Sequence[int], target: Sequence[int]) -> DeviceError:
         """The error of a move that ended elsewhere, by its worst joint."""

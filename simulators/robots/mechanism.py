@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from estimation.transform import FloatArray
+from simulators.interfaces import ByteDevice
 from simulators.robots.motion_profile import AxisMotion
 
 NOISE_BLOCK: Final = 4096
@@ -22,6 +23,18 @@ class MechanicalArm:
 
     def advance(self, time_s: float) -> None:
         """Let everything happen that is due by then."""
+
+    def permit(self, permitted: bool, time_s: float) -> None:
+        """Give or take the run permission (emergency stop, guard door)."""
+        raise NotImplementedError
+
+    def fault(self, joint: int, code: int, time_s: float) -> None:
+        """Let the robot fail with an error code of its own."""
+        raise NotImplementedError
+
+    def connections(self) -> dict[str, Callable[[], ByteDevice]]:
+        """What a client finds on each byte link of this robot; none if it is on a CAN bus."""
+        return {}
 
     def joints_at(self, time_s: float) -> FloatArray:
         """True joint angles (n,) at any instant up to the present, rad."""

@@ -14,6 +14,7 @@ from controller.packml import Command, State
 from controller.store import Result, Store
 from estimation.belief import Belief
 from estimation.statistics import Outcome
+from simulators.robots.canopen_arm import SimulatedArm
 from simulators.virtual import SimulatedCell
 from simulators.world.truth import Truth
 
@@ -45,9 +46,12 @@ class DeterministicCell:
 
     def __post_init__(self) -> None:
         self.cell: Cell = load_cell(self.cell_path)
-        self.world = SimulatedCell(self.cell_path.parent, self.seed, scenario=self.scenario)
+        self.world = SimulatedCell(
+            self.cell_path.parent, self.seed, scenario=self.scenario, robot=self.cell.robot.driver
+        )
         self.sent_can_ids: list[int] = []
-        self._log_can_ids()
+        if isinstance(self.world.arm, SimulatedArm):
+            self._log_can_ids()
         self.store = Store.open(self.store_path, durable=False, clock=self.world.clock)
         self.devices = make_devices(self.cell, self.world.ports, self.world.clock, keep_alive_thread=False)
         self.job = CellJob(self.cell, self.devices, self.store, self.world.clock, "test")
