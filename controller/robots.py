@@ -4,13 +4,14 @@ import math
 from typing import Final
 
 from controller.cellfile.arm import Arm
-from controller.cellfile.robots import CanopenRobot, MelfaSerialRobot, MelfaTcpRobot, Robot
+from controller.cellfile.robots import CanopenRobot, IgusRobot, MelfaSerialRobot, MelfaTcpRobot, Robot
 from drivers import capabilities
 from drivers.clock import Clock
 from drivers.links.interfaces import Ports
 from drivers.robots.canopen_arm import CanopenArm
 from drivers.robots.canopen_arm_setup import ArmConfig
 from drivers.robots.controller_arm import ControllerArm, ControllerArmConfig
+from drivers.robots.igus_irc import IgusConfig, IgusController
 from drivers.robots.melfa import MelfaConfig, MelfaController
 
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
@@ -18,8 +19,11 @@ HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
 MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
 LATEST_ANSWER_S: Final = 0.02  # to a SYNC
 SDO_TIMEOUT_S: Final = 0.3
+IGUS_REPLY_S: Final = 0.2
 MELFA_REPLY_S: Final = 0.5
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
+
+IGUS_START_GAP_S: Final = 0.3  # between the edge that starts a move and "moving"
 
 
 def make_robot(
@@ -29,6 +33,9 @@ def make_robot(
     match robot:
         case CanopenRobot():
             return _canopen(robot, ports, clock, patience, keep_alive_thread)
+        case IgusRobot():
+            config = _arm_config(robot, start_gap_s=IGUS_START_GAP_S)
+            return ControllerArm(_igus(robot, ports, clock, patience), config, clock)
         case MelfaTcpRobot() | MelfaSerialRobot():
             return ControllerArm(_melfa(robot, ports, clock, patience), _arm_config(robot), clock)
 
@@ -89,3 +96,14 @@ def _melfa(
         return MelfaController(ports.serial("robot", robot.port, robot.baud, robot.framing), config, clock)
     stop = None if robot.stop_port is None else ports.tcp("robot.stop", robot.host, robot.stop_port)
     return MelfaController(ports.tcp("robot", robot.host, robot.port), config, clock, stop)
+
+
+def _igus(robot: IgusRobot, ports: Ports, clock: Clock, patience: float) -> IgusController:
+    config = IgusConfig(
+        max_speed_rad_s=robot.max_speed_rad_s,
+        model=robot.model,
+        reply_timeout_s=IGUS_REPLY_S * patience,
+        stop_delay_s=robot.stop_delay_s,
+        euler=robot.euler,
+    )
+    return IgusController(ports.tcp("robot", robot.host, robot.port), config, clock)

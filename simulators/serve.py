@@ -12,8 +12,8 @@ import numpy as np
 
 from estimation.errors import CellFileError
 from simulators.cell import CellModel
+from simulators.modbus_server import ModbusConnection
 from simulators.outlets import Loop, SerialOutlet, TcpOutlet
-from simulators.probes.adam6052 import ModbusConnection
 from simulators.robots.canopen_arm import SimulatedArm
 from simulators.slcan import SlcanDevice
 

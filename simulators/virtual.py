@@ -11,7 +11,7 @@ from estimation.errors import DeviceError
 from simulators.cell import CellModel
 from simulators.faults import FaultyBytes, FaultyCan, WireFaults
 from simulators.interfaces import ByteDevice, CanDevice, Frame
-from simulators.probes.adam6052 import ModbusConnection
+from simulators.modbus_server import ModbusConnection
 from simulators.robots.canopen_arm import SimulatedArm
 
 _OTHER_CELL = "Simulate the robot that the cell file names"

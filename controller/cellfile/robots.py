@@ -72,4 +72,21 @@ class MelfaSerialRobot(MelfaRobot):
     """Data bits, parity and stop bits of the line."""
 
 
-Robot = Annotated[CanopenRobot | MelfaTcpRobot | MelfaSerialRobot, Field(discriminator="driver")]
+class IgusRobot(Arm):
+    """An igus / Commonplace Robotics controller (iRC, TinyCtrl), Modbus TCP; a stop goes next."""
+
+    driver: Literal["igus-irc"]
+    """Which driver speaks to it."""
+    host: Host
+    """Name or address of the controller."""
+    port: int = Field(default=502, ge=1, le=65535)
+    """TCP port of its Modbus server."""
+    max_speed_rad_s: AngularSpeed = Field(gt=0, le=radians(1000))
+    """Of the fastest joint at 100 %: what the percentages that the robot is told refer to."""
+    euler: Literal["xyz", "zyx"] = "xyz"
+    """Fixed axes about which A, B and C of its pose turn, in this order."""
+    stop_delay_s: Duration = Field(default=0.1, ge=0, le=5)
+    """Longest time from the request to stop until the arm slows down; a touch is as uncertain."""
+
+
+Robot = Annotated[CanopenRobot | IgusRobot | MelfaTcpRobot | MelfaSerialRobot, Field(discriminator="driver")]

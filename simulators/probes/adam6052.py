@@ -3,15 +3,10 @@
 Framing and PDUs are pymodbus's; what the registers hold is from the manual's tables.
 """
 
-import logging
-import math
-from collections import deque
 from typing import Any, Final, Protocol
 
 from pymodbus.constants import ExcCodes
-from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerSocket
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu import bit_message as bits
 from pymodbus.pdu import register_message as registers
 
@@ -24,8 +19,6 @@ NAME: Final = (210, 211)
 KNOWN_FUNCTIONS: Final = (1, 2, 3, 4, 5, 6, 15, 16)
 UNIT: Final = 1
 
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps frames on every refused request
-
 
 class Switch(Protocol):
     """What is wired to the counting input."""
@@ -35,61 +28,6 @@ class Switch(Protocol):
 
     def update(self, time_s: float) -> None:
         """Bring `closed` and `count` up to that instant."""
-
-
-class ModbusConnection:
-    """The device end of one TCP connection; inputs are sampled when a request arrives."""
-
-    def __init__(self, module: "Adam6052") -> None:
-        self._module = module
-        self._framer = FramerSocket(DecodePDU(is_server=True))
-        self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
-
-    def receive(self, data: bytes, time_s: float) -> None:
-        """Bytes from the client, however they are cut."""
-        self._input += data
-        while self._input:
-            try:
-                used, request = self._framer.handleFrame(self._input, 0, 0)
-            except ModbusException:
-                self._refuse(time_s)
-                continue
-            if request is None and not used:
-                if self._input[2:4] not in (b"", b"\0", b"\0\0"):
-                    self._input = b""  # not Modbus
-                return
-            self._input = self._input[used:]
-            if request is not None:
-                answer = self._module.answer(request, time_s)
-                self._send(answer, request.transaction_id, request.dev_id, time_s)
-
-    def _refuse(self, time_s: float) -> None:
-        """A function that the device does not have."""
-        frame = self._input
-        length = 6 + int.from_bytes(frame[4:6], "big")
-        answer = ExceptionResponse(frame[7] & 0x7F, ExcCodes.ILLEGAL_FUNCTION)
-        self._input = frame[length:]
-        self._send(answer, int.from_bytes(frame[0:2], "big"), frame[6], time_s)
-
-    def _send(self, answer: ModbusPDU, transaction: int, unit: int, time_s: float) -> None:
-        answer.transaction_id, answer.dev_id = transaction, unit
-        self._output.append((time_s + self._module.reply_delay_s, self._framer.buildFrame(answer)))
-
-    def next_output_s(self) -> float:
-        """When the next answer leaves."""
-        return self._output[0][0] if self._output else math.inf
-
-    def take(self, time_s: float) -> bytes:
-        """All answers that left by then."""
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget the answers that left by then."""
-        self.take(time_s)
 
 
 class Adam6052:

@@ -8,6 +8,7 @@ import numpy as np
 from estimation.errors import CellFileError
 from estimation.transform import FloatArray
 from simulators.robots.canopen_arm import SimulatedArm
+from simulators.robots.igus_irc import IgusRobot
 from simulators.robots.mechanism import MechanicalArm
 from simulators.robots.melfa import MelfaRobot, MelfaSettings
 from simulators.world.world_file import ArmSpec
@@ -23,6 +24,7 @@ def _melfa_serial(
 
 ROBOTS: Final[dict[str, Make]] = {
     "canopen-402": SimulatedArm,
+    "igus-irc": IgusRobot,
     "melfa-serial": _melfa_serial,
     "melfa-tcp": MelfaRobot,
 }

@@ -13,6 +13,14 @@ from simulators.robots.controlled_arm import ControlledArm
 from simulators.virtual import SimulatedCell, VirtualByteLink
 
 CELL = Path(__file__).parents[3] / "cells" / "bench-block"
+COARSE = {"max_speed": "90 deg/s", "in_position": "0.02 deg", "encoder_step": "0.01 deg"}
+MELFA_TCP: dict[str, Any] = COARSE | {
+    "driver": "melfa-tcp", "host": "127.0.0.1", "stop_port": 10002, "model": "RV-4FL-D"
+}  # fmt: skip
+MELFA_SERIAL: dict[str, Any] = COARSE | {
+    "driver": "melfa-serial", "port": "/dev/ttyUSB0", "model": "RV-4FL-D"
+}  # fmt: skip
+IGUS: dict[str, Any] = COARSE | {"driver": "igus-irc", "host": "127.0.0.1", "model": "iRC"}
 OF_CANOPEN = ("port", "interface", "bitrate", "nodes", "sync_period", "cruise_sync_period")
 
 

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.probes.adam6052 import Adam6052, ModbusConnection
+from simulators.modbus_server import ModbusConnection
+from simulators.probes.adam6052 import Adam6052
 
 DELAY_S = 0.0015
 
