@@ -1,0 +1,138 @@
+"""Nearest points of meshes against brute force, against trimesh, and against a sphere."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimation.errors import EstimationError
+from estimation.surfaces import mesh as mesh_module
+from estimation.surfaces import signed_distance
+from estimation.surfaces.feature import freeform
+from estimation.surfaces.mesh import TriangleMesh
+from estimation.transform import FloatArray
+from tests.estimation.blade import blade_arrays, blade_mesh, points_on
+
+MESH = blade_mesh()
+needs_numba = pytest.mark.skipif(mesh_module.kernels is None, reason="numba is not installed")
+
+
+def by_brute_force(mesh: TriangleMesh, points: FloatArray) -> FloatArray:
+    """Least distances to all triangles by trimesh, in units in which its fixed tolerances do no harm."""
+    corners = mesh.corners_m * 1e3
+    each = [
+        np.linalg.norm(
+            trimesh.triangles.closest_point(corners, np.broadcast_to(p, (len(corners), 3))) - p, axis=1
+        ).min()
+        for p in points * 1e3
+    ]
+    return np.array(each) * 1e-3
+
+
+@pytest.mark.parametrize("away_m", [0.0, 1e-4, 3e-3, 0.05, 2.0])
+def test_the_nearest_triangle_is_found_at_any_distance(away_m: float) -> None:
+    rng = np.random.default_rng(1)
+    points = points_on(MESH, 40, rng) + away_m * rng.normal(size=(40, 3))
+    found = MESH.nearest(points)
+    apart = np.linalg.norm(points - found.foot_m, axis=1)
+    assert apart == pytest.approx(by_brute_force(MESH, points), abs=1e-12)
+    assert (np.abs(found.distance_m) <= apart + 1e-12).all()
+    assert np.abs(found.distance_m)[~found.beyond] == pytest.approx(apart[~found.beyond])
+
+
+@needs_numba
+def test_without_numba_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    points = (
+        points_on(MESH, 300, rng) + rng.normal(size=(300, 3)) * np.repeat([1e-4, 5e-3, 0.05], 100)[:, None]
+    )
+    compiled = MESH.nearest(points)
+    monkeypatch.setattr(mesh_module, "kernels", None)
+    plain = blade_mesh().nearest(points)
+    assert plain.distance_m == pytest.approx(compiled.distance_m, abs=1e-14)
+    assert plain.normal == pytest.approx(compiled.normal, abs=1e-10)
+    assert (plain.beyond == compiled.beyond).all()
+
+
+def test_a_point_knows_its_side_even_where_the_foot_is_a_sharp_edge_or_corner() -> None:
+    wedge = trimesh.creation.cone(radius=0.01, height=0.1, sections=5)  # acute edges, one very acute corner
+    mesh = TriangleMesh(wedge.vertices, wedge.faces)
+    points = np.random.default_rng(3).uniform([-0.02, -0.02, -0.02], [0.02, 0.02, 0.15], (2000, 3))
+    found = mesh.nearest(points)
+    outside = ~wedge.contains(points)
+    assert not found.beyond.any()
+    assert ((found.distance_m > 0) == outside).all()
+
+
+def test_a_fine_sphere_is_a_sphere() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    points = np.random.default_rng(4).normal(size=(500, 3)) * 0.05
+    found = mesh.nearest(points)
+    assert found.distance_m == pytest.approx(np.linalg.norm(points, axis=1) - 0.05, abs=3e-5)
+
+
+def test_beside_an_open_edge_the_distance_is_the_height_and_the_point_is_flagged() -> None:
+    square = TriangleMesh(
+        np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    )
+    points = np.array([[0.05, 0.02, 0.001], [0.05, -0.02, 0.001], [-0.01, -0.01, -0.002], [0.03, 0.03, 0.5]])
+    found = square.nearest(points)
+    assert found.distance_m == pytest.approx([0.001, 0.001, -0.002, 0.5])
+    assert found.beyond.tolist() == [False, True, True, False]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_row_20_gradient_against_central_differences_away_from_facet_edges(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    features = (freeform("blade", MESH),)
+    points = points_on(MESH, 20, rng) + 1e-3 * rng.normal(size=(20, 3))
+    index, h = np.zeros(20, dtype=np.intp), 1e-7
+    steps = [np.zeros(3), *(np.eye(3) * h), *(-np.eye(3) * h)]
+    found = [signed_distance(features, index, points + step) for step in steps]
+    places = [MESH.nearest(points + step) for step in steps]
+    same = np.all([each.place == places[0].place for each in places], axis=(0, 2)) & ~found[0].beyond
+    numeric = np.column_stack(
+        [(found[1 + k].distance_m - found[4 + k].distance_m) / (2 * h) for k in range(3)]
+    )
+    # A foot on an edge or corner bends the distance by 1 / distance.
+    assert numeric[same] == pytest.approx(found[0].gradient[same], abs=2e-5)
+    assert same.sum() > 10
+
+
+@needs_numba
+def test_sums_of_the_compiled_pass_are_those_of_the_nearest_points() -> None:
+    rng = np.random.default_rng(5)
+    points, weight = points_on(MESH, 5000, rng) + 2e-3 * rng.normal(size=(5000, 3)), rng.uniform(0.5, 2, 5000)
+    kernels = mesh_module.kernels
+    sums = np.empty((-(-len(points) // kernels.CHUNK), kernels.SUMS))
+    hint = np.full(len(points), -1, dtype=np.int32)
+    kernels.normal_equations(
+        points,
+        weight,
+        np.eye(3),
+        np.zeros(3),
+        np.inf,
+        hint,
+        *MESH.search_arrays(),
+        MESH.normals,
+        MESH.open,
+        sums,
+    )
+    found = MESH.nearest(points)
+    rows = -weight[:, None] * np.concatenate([found.normal, np.cross(points, found.normal)], axis=1)
+    total = sums.sum(axis=0)
+    assert total[:21] == pytest.approx((rows.T @ rows)[np.triu_indices(6)], rel=1e-9)
+    assert total[21:27] == pytest.approx(rows.T @ (weight * found.distance_m), rel=1e-9)
+    assert total[27] == pytest.approx(np.sum((weight * found.distance_m) ** 2))
+
+
+def test_meshes_that_cannot_be_are_refused() -> None:
+    vertices, triangles = blade_arrays(4, 5)
+    with pytest.raises(EstimationError, match="not there"):
+        TriangleMesh(vertices, triangles + 1)
+    with pytest.raises(EstimationError, match="no triangle with an area"):
+        TriangleMesh(vertices, triangles[:, [0, 1, 1]])
+    with pytest.raises(EstimationError, match=r"\(20, 2\)"):
+        TriangleMesh(vertices[:, :2], triangles)
