@@ -12,12 +12,12 @@ import serial
 from estimation.errors import DeviceError
 
 try:
-    from termios import error as _terminal_error
-except ImportError:  # not on Windows
-    _terminal_error = OSError  # type: ignore[misc,assignment]
+    import termios
+except ImportError:  # on Windows a byte of wrong parity passes for a good one
+    termios = None  # type: ignore[assignment]
 
 # What a port raises once its device is gone; a flush answers with an error that is no OSError.
-PORT_ERRORS: Final = (serial.SerialException, OSError, _terminal_error)
+PORT_ERRORS: Final = (serial.SerialException, OSError, getattr(termios, "error", OSError))
 
 KEPT_BYTES: Final = 1 << 18  # the kernel keeps 4 KiB only, 0.7 s of a fast sensor
 READ_SLICE_S: Final = 0.05
@@ -58,6 +58,8 @@ class SerialLink:
             )
         except (*PORT_ERRORS, ValueError) as error:
             raise opening_failed(self.port, error) from error
+        if parity != "N":
+            _check_parity(port)
         with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no such lines
             port.dtr = port.rts = True
         self._serial, self._failure = port, None
@@ -138,6 +140,14 @@ class SerialLink:
         return DeviceError(
             f"Port {self.port} is gone ({error})", "Check the cable and the power of the device"
         )
+
+
+def _check_parity(port: serial.Serial) -> None:
+    """Let a byte of wrong parity arrive as NUL; pyserial lets it arrive as if it were right."""
+    if termios is not None:
+        settings = termios.tcgetattr(port.fileno())
+        settings[0] |= termios.INPCK
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, settings)
 
 
 def opening_failed(port: str, error: Exception) -> DeviceError:

@@ -13,11 +13,10 @@ from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.sensors import optoncdt_codec as codec
 from drivers.sensors.optoncdt_codec import CodeArray
+from drivers.sensors.windows import can_freeze, collect, refuse_frozen
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from estimation.transform import FloatArray
 
-FROZEN_RUN: Final = 20  # identical values in a row: p < 5e-4 where the noise is 0.5 steps or more
-FROZEN_NOISE_STEPS: Final = 0.5
 MOST_DRAINED_S: Final = 1.0
 
 
@@ -48,7 +47,7 @@ class OptoncdtLaser:
         self._decoder = codec.StreamDecoder()
         self._opened = self._frames = self._timeouts = 0
         self._connected = False
-        self._watch_frozen = config.noise_m >= FROZEN_NOISE_STEPS * codec.resolution(config.range_m)
+        self._watch_frozen = can_freeze(config.noise_m, codec.resolution(config.range_m))
 
     def connect(self) -> Identity:
         """Silence the stream, compare the identity, configure, start the stream.
@@ -112,29 +111,23 @@ class OptoncdtLaser:
 
         Raises DeviceTimeout (silence), FrameError (unreadable), DeviceError (frozen).
         """
-        config, clock = self._config, self._clock
-        period_s = 1.0 / config.rate_hz
+        config, period_s = self._config, 1.0 / self._config.rate_hz
         stale = math.ceil(config.stale_s * config.rate_hz)
-        chunks, times, got = list[CodeArray](), list[FloatArray](), 0
-        bad_before, bytes_seen = self._decoder.bad_bytes, 0
-        heard_s = clock.now_s()
-        while got < minimum + stale or not chunks:
-            data = self._link.read(period_s)
-            now = clock.now_s()
-            bytes_seen += len(data)
-            codes = self._decoder.feed(data) if data else _NOTHING
-            if codes.size:
-                heard_s = now
-                chunks.append(codes)
-                times.append(now - period_s * np.arange(codes.size - 1, -1, -1, dtype=np.float64))
-                got += codes.size
-                missing = minimum + stale - got
-                if missing > 1:
-                    clock.sleep(min(missing * period_s, 0.05))
-            elif now - heard_s >= self._config.silence_s:
-                raise self._silent(bytes_seen, self._decoder.bad_bytes - bad_before)
+        bad_before = self._decoder.bad_bytes
+        window = collect(
+            self._link,
+            self._clock,
+            self._decoder.feed,
+            minimum=minimum + stale,
+            period_s=period_s,
+            silence_s=config.silence_s,
+        )
+        got = len(window.values)
         self._frames += got
-        return self._readings(np.concatenate(chunks)[stale:], np.concatenate(times)[stale:])
+        if got < max(minimum + stale, 1):
+            raise self._silent(window.bytes_seen, self._decoder.bad_bytes - bad_before)
+        window = window.after(config.stale_s, period_s)
+        return self._readings(window.values, window.time_s)
 
     # --- values --------------------------------------------------------------------------------------
 
@@ -142,9 +135,9 @@ class OptoncdtLaser:
         config = self._config
         good = codec.in_range(codes)
         kinds = tuple(sorted({codec.code_words(int(code)) for code in np.unique(codes[~good])}))
-        if self._watch_frozen:
-            self._refuse_frozen(codes[good])
         distance_m = config.range_start_m + codec.distances(codes, config.range_m)
+        if self._watch_frozen:
+            refuse_frozen(distance_m[good])
         if config.working_range_m is not None:
             nearest_m, farthest_m = config.working_range_m
             working = (distance_m >= nearest_m) & (distance_m <= farthest_m)
@@ -154,18 +147,6 @@ class OptoncdtLaser:
                 kinds += (f"outside the working range of {limits}",)
         rejected = int(codes.size - np.count_nonzero(good))
         return RangeReadings(time_s[good], distance_m[good], rejected, kinds)
-
-    def _refuse_frozen(self, codes: CodeArray) -> None:
-        changes = np.flatnonzero(np.diff(codes)) + 1
-        edges = np.concatenate(([0], changes, [codes.size]))
-        runs = np.diff(edges)
-        if codes.size and runs.max() >= FROZEN_RUN:
-            code = codes[edges[int(runs.argmax())] : edges[int(runs.argmax())] + 1]
-            frozen_m = self._config.range_start_m + float(codec.distances(code, self._config.range_m)[0])
-            raise DeviceError(
-                f"Laser frozen at {frozen_m * 1e3:.3f} mm: {int(runs.max())} identical values in a row",
-                "Restart the sensor, then repeat the reference check",
-            )
 
     def _silent(self, bytes_seen: int, bad_bytes: int) -> DeviceError:
         self._timeouts += 1
@@ -256,6 +237,3 @@ class OptoncdtLaser:
             f"Laser: its {what} is {told or 'not told'}, the cell file says {expected}",
             "Connect the sensor that was calibrated, or correct the cell file and calibrate again",
         )
-
-
-_NOTHING: Final[CodeArray] = np.empty(0, dtype=np.int64)

@@ -2,12 +2,13 @@
 
 import math
 from collections import deque
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimation.transform import FloatArray
+from simulators.sensors.beam import Beam
 from simulators.world.world_file import LaserSpec
 
 IntArray = NDArray[np.int64]
@@ -49,13 +50,6 @@ POWER_ON: Final[dict[str, str]] = {
     "TRIGGER": "NONE",
     "MASTERMV": "NONE",
 }
-
-
-class Beam(Protocol):
-    """The laser's view of the world."""
-
-    def beam_lengths_m(self, times_s: FloatArray) -> FloatArray:
-        """True distances (n,) at past instants (n,); nan where no light returns."""
 
 
 def encode_values(values: IntArray, first: bool = True) -> NDArray[np.uint8]:

@@ -1,0 +1,104 @@
+"""Windows on a sensor that sends all the time: what arrived in them, when, and whether it is alive."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.clock import Clock
+from drivers.links.interfaces import ByteLink
+from estimation.errors import DeviceError
+from estimation.transform import FloatArray
+
+FROZEN_RUN: Final = 20  # identical values in a row: p < 5e-4 where the noise is 0.5 steps or more
+FROZEN_NOISE_STEPS: Final = 0.5
+LONGEST_PAUSE_S: Final = 0.05  # between two reads while many values are still to come
+
+Values = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Values (n, ...) in order, and the receive time (n,) of each, spread by the period of the sensor."""
+
+    values: Values
+    time_s: FloatArray
+    bytes_seen: int
+
+    def after(self, stale_s: float, period_s: float) -> "Window":
+        """Without the first values: those may have waited so long in a converter."""
+        first = math.ceil(stale_s / period_s)
+        return Window(self.values[first:], self.time_s[first:], self.bytes_seen)
+
+
+def collect(
+    link: ByteLink,
+    clock: Clock,
+    feed: Callable[[bytes], Values],
+    *,
+    minimum: int,
+    period_s: float,
+    silence_s: float,
+) -> Window:
+    """At least `minimum` values and whatever else has come; fewer if there was none for `silence_s`.
+
+    `feed` takes bytes and gives the values (n, ...) that are complete with them.
+    """
+    chunks, times, got, bytes_seen = list[Values](), list[FloatArray](), 0, 0
+    heard_s = clock.now_s()
+    while got < minimum or not chunks:
+        data = link.read(period_s)
+        now = clock.now_s()
+        bytes_seen += len(data)
+        values = feed(data) if data else None
+        if values is not None and len(values):
+            heard_s = now
+            chunks.append(values)
+            times.append(now - period_s * np.arange(len(values) - 1, -1, -1, dtype=np.float64))
+            got += len(values)
+            missing = minimum - got
+            if missing > 1:
+                clock.sleep(min(missing * period_s, LONGEST_PAUSE_S))
+        elif now - heard_s >= silence_s:
+            break
+    if not chunks:
+        return Window(feed(b""), np.empty(0), bytes_seen)
+    return Window(np.concatenate(chunks), np.concatenate(times), bytes_seen)
+
+
+def poll(
+    clock: Clock, ask: Callable[[], tuple[int, float]], *, since_s: float, minimum: int, period_s: float
+) -> Window:
+    """`minimum` values that a sensor measured after `since_s`, each in another period of its own.
+
+    `ask` gives a value and when it was received.
+    """
+    values, times = list[int](), list[float]()
+    for _ in range(max(minimum, 1)):
+        clock.sleep(since_s + period_s - clock.now_s())
+        since_s = clock.now_s()
+        value, received_s = ask()
+        values.append(value)
+        times.append(received_s)
+    return Window(np.array(values, dtype=np.int64), np.array(times), 0)
+
+
+def can_freeze(noise_m: float, step_m: float) -> bool:
+    """Whether equal values in a row are a sign of a frozen sensor: its noise must be visible."""
+    return noise_m >= FROZEN_NOISE_STEPS * step_m
+
+
+def refuse_frozen(distance_m: FloatArray) -> None:
+    """Raises DeviceError if FROZEN_RUN consecutive distances are identical."""
+    changes = np.flatnonzero(np.diff(distance_m)) + 1
+    edges = np.concatenate(([0], changes, [distance_m.size]))
+    runs = np.diff(edges)
+    if distance_m.size and runs.max() >= FROZEN_RUN:
+        frozen_m = float(distance_m[edges[int(runs.argmax())]])
+        raise DeviceError(
+            f"Laser frozen at {frozen_m * 1e3:.3f} mm: {int(runs.max())} identical values in a row",
+            "Restart the sensor, then repeat the reference check",
+        )
