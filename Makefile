@@ -14,7 +14,7 @@ UV := VIRTUAL_ENV=$(CURDIR)/.venv $(BIN)/uv
 COMPILE := $(UV) pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 \
 	--generate-hashes --no-emit-index-url --no-header
 
-.PHONY: help setup demo test lint fmt campaign requirements clean
+.PHONY: help setup demo test lint fmt campaign coverage requirements clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -59,6 +59,10 @@ fmt: $(STAMP) ## format and fix what can be fixed by machine
 
 campaign: $(STAMP) ## long statistical tests
 	@$(BIN)/pytest -q -n 2 -m campaign
+	@$(MAKE) --no-print-directory coverage
+
+coverage: $(STAMP) ## 5,000 random cells, into docs/evidence.md
+	@$(BIN)/truecell verify --cells 5000 --json | $(BIN)/python docs/coverage_table.py
 
 requirements: ## pin again after a change of dependencies in pyproject.toml; UPGRADE=--upgrade takes newer versions
 	@test -x $(BIN)/uv || { $(PYTHON) -m venv .venv && $(BIN)/python -m pip install -qq --require-hashes -r requirements/bootstrap.txt; }

@@ -11,6 +11,7 @@ import typer
 from controller.console import options
 from controller.console.exit_codes import ExitCode
 from controller.console.options import CellArgument, JsonOption, SocketOption, StateOption
+from controller.console.verify import verify
 from controller.daemon.address import default_socket
 
 
@@ -87,17 +88,9 @@ def plan(
     if as_json:
         options.print_json({"steps" if dry_run else "phases": rows})
         return
-    from rich.table import Table
-
     from controller.console import show
 
-    columns = list(rows[0]) if rows else []
-    table = Table(box=None, pad_edge=False)
-    for column in columns:
-        table.add_column(column.replace("_", " "), no_wrap=column in ("step", "joints_deg", "on"))
-    for row in rows:
-        table.add_row(*("" if row[column] is None else str(row[column]) for column in columns))
-    show.console().print(table)
+    show.console().print(show.table_of(rows))
 
 
 def simulate(context: typer.Context, cell: CellArgument) -> None:
@@ -146,5 +139,5 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands above."""
     app.command()(demo)
     app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(simulate)
-    for command in (check, plan, serve):
+    for command in (check, plan, serve, verify):
         app.command()(command)

@@ -20,6 +20,7 @@ _COLOURS: Final = {
     "Aborted": "red",
     "Aborting": "red",
 }
+_WHOLE_COLUMNS: Final = ("step", "joints_deg", "on", "verdict")
 _STATE_OF_RUN_OPEN: Final = "open"
 
 
@@ -116,6 +117,16 @@ def samples_table(samples: Sequence[Mapping[str, Any]]) -> Table:
         quality = str(s["payload"].get("quality", ""))
         cells = (s["id"], s["phase"], s["attempt"], s["step"], s["kind"], quality, mark)
         table.add_row(*(escape(str(cell)) for cell in cells))
+    return table
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Rows with the same keys, which become the headings."""
+    table = Table(box=None, pad_edge=False)
+    for column in rows[0] if rows else ():
+        table.add_column(column.replace("_", " "), no_wrap=column in _WHOLE_COLUMNS)
+    for row in rows:
+        table.add_row(*("" if value is None else escape(str(value)) for value in row.values()))
     return table
 
 

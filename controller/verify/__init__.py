@@ -1,0 +1,1 @@
+"""Proof on demand: coverage over random cells, and Monte Carlo of a cell's own plan."""
