@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
 from estimation.errors import EstimationError
-from estimation.surfaces.shape import Nearest
+from estimation.surfaces.shape import CHUNK, SUMS, Nearest, Sums, sums_of
 from estimation.transform import FloatArray
 
 try:
@@ -134,6 +134,54 @@ class TriangleMesh:
             beyond=beyond,
             place=facet[:, None].astype(np.float64),
         )
+
+    @property
+    def coarse(self) -> "TriangleMesh":
+        """Itself."""
+        return self
+
+    def new_hints(self, count: int) -> IntArray:
+        """No triangle is known to be near any point."""
+        return np.full(count, -1, dtype=np.int32)
+
+    def order(self, base_p: FloatArray, base_T_object: FloatArray) -> NDArray[np.intp]:
+        """The order (m,) of points by the cell in which they lie: neighbours are found in the cache."""
+        if self.grid is None:
+            return np.arange(len(base_p))
+        grid, rotation = self.grid, np.ascontiguousarray(base_T_object[:3, :3])
+        return np.asarray(
+            kernels.cell_order(
+                base_p, rotation, base_T_object[:3, 3].copy(), grid.origin_m, grid.size_m, grid.counts
+            )
+        )
+
+    def sums(
+        self,
+        base_p: FloatArray,
+        weight: FloatArray,
+        base_T_object: FloatArray,
+        hints: IntArray,
+        huber: float = np.inf,
+    ) -> Sums:
+        """Sums over points as `Shape` describes them; `hints` (m,) hold triangles, or -1 at first."""
+        rotation, origin = np.ascontiguousarray(base_T_object[:3, :3]), base_T_object[:3, 3].copy()
+        if self.grid is None:
+            object_p = (base_p - origin) @ rotation
+            return sums_of(self.nearest(object_p), object_p, weight, huber)
+        partial = np.empty((-(-len(base_p) // CHUNK), SUMS))
+        kernels.normal_equations(
+            base_p,
+            weight,
+            rotation,
+            origin,
+            huber,
+            hints,
+            *self.search_arrays(),
+            self.normals,
+            self.open,
+            partial,
+        )
+        return Sums.of(partial.sum(axis=0))
 
     def _feet(self, points: FloatArray) -> tuple[IntArray, NDArray[np.int8], FloatArray]:
         """Triangle (m,), region (m,) as in `mesh_kernels`, and foot (m, 3) of each point."""

@@ -12,11 +12,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.surfaces.shape import CHUNK, SUMS
+from estimation.surfaces.sums_kernels import add_point
 from estimation.transform import FloatArray
 
 IntArray = NDArray[np.int32]
-CHUNK: Final = 2048  # points to a partial sum: fixed, so that results do not depend on the number of threads
-SUMS: Final = 29  # of J^T J (upper triangle by rows), J^T r, r^T r, number of points
 INSIDE: Final = 0  # regions of a foot: 0 inside, 1-3 on the side from corner k - 1, 4-6 at corner k - 4
 
 
@@ -273,25 +273,7 @@ def normal_equations(
             )
             hint[i] = f
             distance, gx, gy, gz = _oriented(x - fx, y - fy, z - fz, f, where, normals, open_)
-            w, size = weight[i], abs(distance) * weight[i]
-            if size > huber:
-                own[27] += huber * (2.0 * size - huber)
-                w *= math.sqrt(huber / size)
-            else:
-                own[27] += size * size
-            own[28] += 1.0
-            row[0], row[1], row[2] = -w * gx, -w * gy, -w * gz
-            row[3] = -w * (y * gz - z * gy)
-            row[4] = -w * (z * gx - x * gz)
-            row[5] = -w * (x * gy - y * gx)
-            row[6] = w * distance
-            place = 0
-            for j in range(6):
-                for k in range(j, 6):
-                    own[place] += row[j] * row[k]
-                    place += 1
-            for j in range(6):
-                own[21 + j] += row[j] * row[6]
+            add_point(own, row, weight[i], huber, distance, x, y, z, gx, gy, gz)
         sums[chunk] = own
 
 

@@ -105,27 +105,12 @@ def test_row_20_gradient_against_central_differences_away_from_facet_edges(seed:
 def test_sums_of_the_compiled_pass_are_those_of_the_nearest_points() -> None:
     rng = np.random.default_rng(5)
     points, weight = points_on(MESH, 5000, rng) + 2e-3 * rng.normal(size=(5000, 3)), rng.uniform(0.5, 2, 5000)
-    kernels = mesh_module.kernels
-    sums = np.empty((-(-len(points) // kernels.CHUNK), kernels.SUMS))
-    hint = np.full(len(points), -1, dtype=np.int32)
-    kernels.normal_equations(
-        points,
-        weight,
-        np.eye(3),
-        np.zeros(3),
-        np.inf,
-        hint,
-        *MESH.search_arrays(),
-        MESH.normals,
-        MESH.open,
-        sums,
-    )
+    total = MESH.sums(points, weight, np.eye(4), MESH.new_hints(len(points)))
     found = MESH.nearest(points)
     rows = -weight[:, None] * np.concatenate([found.normal, np.cross(points, found.normal)], axis=1)
-    total = sums.sum(axis=0)
-    assert total[:21] == pytest.approx((rows.T @ rows)[np.triu_indices(6)], rel=1e-9)
-    assert total[21:27] == pytest.approx(rows.T @ (weight * found.distance_m), rel=1e-9)
-    assert total[27] == pytest.approx(np.sum((weight * found.distance_m) ** 2))
+    assert total.information == pytest.approx(rows.T @ rows, rel=1e-9)
+    assert total.vector == pytest.approx(rows.T @ (weight * found.distance_m), rel=1e-9)
+    assert total.cost == pytest.approx(np.sum((weight * found.distance_m) ** 2))
 
 
 def test_meshes_that_cannot_be_are_refused() -> None:
