@@ -165,6 +165,28 @@ class RangeSensor(Device, Protocol):
         """
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceReadings:
+    """Forces and torques at the sensor's origin, from consecutive measuring cycles of one window."""
+
+    time_s: FloatArray  # (n,) receive time
+    force_n: FloatArray  # (n, 3)
+    torque_nm: FloatArray  # (n, 3)
+
+
+class ForceSensor(Device, Protocol):
+    """A sensor of force and torque in three axes each, in its own frame."""
+
+    def begin_window(self) -> None:
+        """Forget everything received so far."""
+
+    def end_window(self, minimum: int) -> ForceReadings:
+        """All cycles measured since `begin_window`, waiting until there are `minimum`.
+
+        Raises DeviceTimeout, FrameError.
+        """
+
+
 class TouchProbe(Device, Protocol):
     """A touch-trigger probe: a switch that counts contacts."""
 
