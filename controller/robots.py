@@ -4,7 +4,14 @@ import math
 from typing import Final
 
 from controller.cellfile.arm import Arm
-from controller.cellfile.robots import CanopenRobot, IgusRobot, MelfaSerialRobot, MelfaTcpRobot, Robot
+from controller.cellfile.robots import (
+    CanopenRobot,
+    IgusRobot,
+    MelfaSerialRobot,
+    MelfaTcpRobot,
+    Robot,
+    UrRobot,
+)
 from drivers import capabilities
 from drivers.clock import Clock
 from drivers.links.interfaces import Ports
@@ -13,6 +20,7 @@ from drivers.robots.canopen_arm_setup import ArmConfig
 from drivers.robots.controller_arm import ControllerArm, ControllerArmConfig
 from drivers.robots.igus_irc import IgusConfig, IgusController
 from drivers.robots.melfa import MelfaConfig, MelfaController
+from drivers.robots.ur import UrConfig, UrController, UrLinks
 
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
 HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
@@ -22,6 +30,9 @@ SDO_TIMEOUT_S: Final = 0.3
 IGUS_REPLY_S: Final = 0.2
 MELFA_REPLY_S: Final = 0.5
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
+
+UR_REPLY_S: Final = 0.3
+UR_START_S: Final = 1.0  # from a program sent to its first statement
 
 IGUS_START_GAP_S: Final = 0.3  # between the edge that starts a move and "moving"
 
@@ -38,6 +49,10 @@ def make_robot(
             return ControllerArm(_igus(robot, ports, clock, patience), config, clock)
         case MelfaTcpRobot() | MelfaSerialRobot():
             return ControllerArm(_melfa(robot, ports, clock, patience), _arm_config(robot), clock)
+        case UrRobot():
+            return ControllerArm(
+                _ur(robot, ports, clock, patience), _arm_config(robot, start_gap_s=0.0), clock
+            )
 
 
 def _canopen(
@@ -107,3 +122,23 @@ def _igus(robot: IgusRobot, ports: Ports, clock: Clock, patience: float) -> Igus
         euler=robot.euler,
     )
     return IgusController(ports.tcp("robot", robot.host, robot.port), config, clock)
+
+
+def _ur(robot: UrRobot, ports: Ports, clock: Clock, patience: float) -> UrController:
+    config = UrConfig(
+        acceleration_rad_s2=robot.acceleration_rad_s2,
+        joint_step_rad=robot.encoder_step_rad,
+        model=robot.model,
+        serial_number=robot.serial_number,
+        rate_hz=robot.rate_hz,
+        register=robot.first_register,
+        reply_timeout_s=UR_REPLY_S * patience,
+        start_timeout_s=UR_START_S * patience,
+        stop_delay_s=robot.stop_delay_s,
+    )
+    links = UrLinks(
+        rtde=ports.tcp("robot", robot.host, robot.port),
+        script=ports.tcp("robot.script", robot.host, robot.script_port),
+        dashboard=ports.tcp("robot.dashboard", robot.host, robot.dashboard_port),
+    )
+    return UrController(links, config, clock)

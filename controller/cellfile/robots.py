@@ -3,11 +3,11 @@
 from math import radians
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from controller.cellfile.arm import Arm
 from controller.cellfile.tables import Host, Text
-from controller.quantities import AngularSpeed, Duration
+from controller.quantities import AngularSpeed, Duration, Frequency
 
 
 class CanopenRobot(Arm):
@@ -89,4 +89,29 @@ class IgusRobot(Arm):
     """Longest time from the request to stop until the arm slows down; a touch is as uncertain."""
 
 
-Robot = Annotated[CanopenRobot | IgusRobot | MelfaTcpRobot | MelfaSerialRobot, Field(discriminator="driver")]
+class UrRobot(Arm):
+    """A Universal Robots controller: RTDE for its state, URScript for motion; a stop waits for nothing."""
+
+    driver: Literal["ur"]
+    """Which driver speaks to it."""
+    host: Host
+    """Name or address of the controller."""
+    serial_number: Annotated[str, StringConstraints(pattern=r"^[0-9]*$", max_length=20)] = ""
+    """Compared with what the dashboard answers; "" does not compare."""
+    port: int = Field(default=30004, ge=1, le=65535)
+    """TCP port of RTDE."""
+    script_port: int = Field(default=30002, ge=1, le=65535)
+    """TCP port to which programs are sent."""
+    dashboard_port: int = Field(default=29999, ge=1, le=65535)
+    """TCP port of the dashboard server."""
+    rate_hz: Frequency = Field(default=125.0, ge=1, le=500)
+    """Data packages per second; a contact is known to one of them."""
+    first_register: int = Field(default=24, ge=0, le=46)
+    """Output integer register that counts programs, with the one after it; nothing else may write them."""
+    stop_delay_s: Duration = Field(default=0.1, ge=0, le=5)
+    """Longest time from the request to stop until the arm slows down."""
+
+
+Robot = Annotated[
+    CanopenRobot | IgusRobot | MelfaTcpRobot | MelfaSerialRobot | UrRobot, Field(discriminator="driver")
+]

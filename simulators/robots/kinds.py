@@ -11,6 +11,7 @@ from simulators.robots.canopen_arm import SimulatedArm
 from simulators.robots.igus_irc import IgusRobot
 from simulators.robots.mechanism import MechanicalArm
 from simulators.robots.melfa import MelfaRobot, MelfaSettings
+from simulators.robots.ur import UrRobot
 from simulators.world.world_file import ArmSpec
 
 Make = Callable[[ArmSpec, np.random.Generator, FloatArray | None, float], MechanicalArm]
@@ -27,6 +28,7 @@ ROBOTS: Final[dict[str, Make]] = {
     "igus-irc": IgusRobot,
     "melfa-serial": _melfa_serial,
     "melfa-tcp": MelfaRobot,
+    "ur": UrRobot,
 }
 
 

@@ -21,6 +21,9 @@ MELFA_SERIAL: dict[str, Any] = COARSE | {
     "driver": "melfa-serial", "port": "/dev/ttyUSB0", "model": "RV-4FL-D"
 }  # fmt: skip
 IGUS: dict[str, Any] = COARSE | {"driver": "igus-irc", "host": "127.0.0.1", "model": "iRC"}
+UR: dict[str, Any] = {
+    "driver": "ur", "host": "127.0.0.1", "model": "UR5", "serial_number": "20235500123"
+}  # fmt: skip
 OF_CANOPEN = ("port", "interface", "bitrate", "nodes", "sync_period", "cruise_sync_period")
 
 

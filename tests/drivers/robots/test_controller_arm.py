@@ -8,10 +8,10 @@ import pytest
 
 from controller.cellfile import load_cell
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
-from tests.drivers.robots.rig import CELL, IGUS, MELFA_SERIAL, MELFA_TCP, RobotRig, TimedProbe
+from tests.drivers.robots.rig import CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
 
 DEG = np.pi / 180
-ROBOTS: list[dict[str, Any]] = [MELFA_TCP, MELFA_SERIAL, IGUS]
+ROBOTS: list[dict[str, Any]] = [MELFA_TCP, MELFA_SERIAL, IGUS, UR]
 
 
 @pytest.fixture(scope="module")
