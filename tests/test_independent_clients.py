@@ -2,18 +2,49 @@
 
 from pathlib import Path
 
+import canopen
 import minimalmodbus
 import numpy as np
 import pytest
 import serial
 
 from estimation.transform import FloatArray
+from simulators.probes.wago750 import Wago750, WagoSpec
+from simulators.sensors.ams335i import Ams335i, AmsSpec
 from simulators.sensors.ft300 import Ft300, Ft300Spec
 from simulators.sensors.riftek import Rf60x
 from simulators.sensors.riftek_head import MODBUS_RTU, RiftekSpec
+from simulators.slcan import SlcanDevice
 from tests.support.wires import on_serial_port
 
 pytestmark = pytest.mark.wire
+
+
+U8, U16, U32 = 0x05, 0x06, 0x07
+OBJECTS = {  # what the library must be told of a device
+    0x1000: [U32],
+    0x1008: [0x09],
+    0x1017: [U16],
+    0x1018: [U8, U32, U32, U32, U32],
+    0x6005: [U8],
+    0x6000: [U8, U8],
+    0x6004: [0x04],
+    0x2060: [U8, U32],
+    **{0x1800 + n: [U8, U32, U8, U16, U8, U16] for n in range(2)},
+    **{0x1A00 + n: [U8] + [U32] * 8 for n in range(2)},
+}
+
+
+class Contact:
+    """Closed by hand."""
+
+    closed = False
+
+    def update(self, time_s: float) -> None:
+        pass
+
+    def unchanged_until_s(self, time_s: float) -> float:
+        return time_s
 
 
 class Still:
@@ -59,3 +90,62 @@ def test_minimalmodbus_reads_and_sets_the_riftek_laser(tmp_path: Path) -> None:
         with pytest.raises(minimalmodbus.SlaveReportedException):
             client.write_register(15, 0, functioncode=6)
         client.serial.close()
+
+
+def canopen_node(path: Path, node: int) -> canopen.RemoteNode:
+    network = canopen.Network()
+    network.connect(interface="slcan", channel=str(path), bitrate=1_000_000, sleep_after_open=0.0)
+    dictionary = canopen.ObjectDictionary()
+    for index, types in OBJECTS.items():
+        record = canopen.objectdictionary.ODRecord(f"{index:04X}", index)
+        for sub, type_ in enumerate(types):
+            variable = canopen.objectdictionary.ODVariable(f"{index:04X}_{sub}", index, sub)
+            variable.data_type = type_
+            record.add_member(variable)
+        if len(types) == 1:
+            dictionary.add_object(record[0])
+        else:
+            dictionary.add_object(record)
+    return network.add_node(node, dictionary)
+
+
+def test_canopen_reads_the_io_station_and_follows_its_events(tmp_path: Path) -> None:
+    contact = Contact()
+    station = Wago750(WagoSpec(), contact)
+    with on_serial_port(tmp_path / "can", SlcanDevice(station)):
+        node = canopen_node(tmp_path / "can", 20)
+        assert node.sdo[0x1000].raw & 0xFFFF == 401
+        assert node.sdo[0x1018][1].raw == 0x21
+        assert node.sdo[0x1008].raw == "750-337"
+        node.sdo[0x6005].raw = 1
+        node.tpdo[1].read()
+        assert [variable.index for variable in node.tpdo[1].map] == [0x6000]
+        node.tpdo[1].event_timer = 20
+        node.tpdo[1].save()  # by way of "switched off", as the manual demands
+        node.sdo[0x1017].raw = 50
+        node.nmt.state = "OPERATIONAL"
+        assert node.nmt.wait_for_heartbeat(5.0) == "OPERATIONAL"
+        assert node.tpdo[1].wait_for_reception(5.0) and node.tpdo[1].map[0].raw == 0
+        contact.closed = True
+        for _ in range(20):
+            if node.tpdo[1].wait_for_reception(5.0) and node.tpdo[1].map[0].raw:
+                break
+        assert node.tpdo[1].map[0].raw == 1 and node.sdo[0x6000][1].raw == 1
+        with pytest.raises(canopen.SdoAbortedError):
+            node.sdo[0x6000][1].raw = 0
+        node.network.disconnect()
+
+
+def test_canopen_reads_the_distance_laser(tmp_path: Path) -> None:
+    laser = Ams335i(AmsSpec(), Still(), 0.0, 0.0, np.random.default_rng(1))
+    with on_serial_port(tmp_path / "can", SlcanDevice(laser)):
+        node = canopen_node(tmp_path / "can", 16)
+        assert node.sdo[0x1000].raw == 0x00080196
+        assert node.sdo[0x6004].raw == 1000  # tenths of a millimetre
+        node.tpdo[2].read()
+        node.nmt.state = "OPERATIONAL"
+        node.sdo[0x1000].raw  # noqa: B018  # answered, so the start has arrived
+        node.network.sync.transmit()
+        assert node.tpdo[2].wait_for_reception(5.0)
+        assert [variable.raw for variable in node.tpdo[2].map] == [1000, 0]
+        node.network.disconnect()

@@ -70,20 +70,20 @@ def collect(
 
 
 def poll(
-    clock: Clock, ask: Callable[[], tuple[int, float]], *, since_s: float, minimum: int, period_s: float
+    clock: Clock, ask: Callable[[], tuple[float, float]], *, since_s: float, minimum: int, period_s: float
 ) -> Window:
     """`minimum` values that a sensor measured after `since_s`, each in another period of its own.
 
     `ask` gives a value and when it was received.
     """
-    values, times = list[int](), list[float]()
+    values, times = list[float](), list[float]()
     for _ in range(max(minimum, 1)):
         clock.sleep(since_s + period_s - clock.now_s())
         since_s = clock.now_s()
         value, received_s = ask()
         values.append(value)
         times.append(received_s)
-    return Window(np.array(values, dtype=np.int64), np.array(times), 0)
+    return Window(np.array(values), np.array(times), 0)
 
 
 def can_freeze(noise_m: float, step_m: float) -> bool:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from simulators.robots.drive_objects import BAD_VALUE, ENTRIES, Key, SdoAbort, SdoServer, Value, entry_of
-from simulators.robots.drive_pdo import SYNCHRONOUS, TimedPdo, active_pdos, check_pdo_write, default_can_ids
+from simulators.canopen_objects import BAD_VALUE, Key, SdoAbort, SdoServer, Value, entry_of
+from simulators.canopen_pdo import SYNCHRONOUS, TimedPdo, active_pdos, check_pdo_write, default_can_ids
+from simulators.robots.drive_objects import ENTRIES
 from simulators.robots.drive_states import TRANSITIONS, Command, DriveState, command_of
 from simulators.robots.motion_profile import AxisMotion
 from simulators.robots.positioner import INTERPOLATED, PROFILE_POSITION, Positioner
@@ -63,7 +64,7 @@ class Drive:
         self.run_permitted = True
         self._noise, self._emit, self._step = noise, emit, settings.step_counts
         self._now_s = 0.0
-        self._sdo = SdoServer(self._read, self._write)
+        self._sdo = SdoServer(ENTRIES, self._read, self._write)
         self._power_on()
         self.nmt = Nmt.PRE_OPERATIONAL
         self._boot_s = NEVER
@@ -240,11 +241,11 @@ class Drive:
         return controlled and self._control()
 
     def _configure_pdos(self) -> None:
-        self._receive_pdos = {pdo.can_id: pdo for pdo in active_pdos(self.values, receive=True)}
+        self._receive_pdos = {pdo.can_id: pdo for pdo in active_pdos(ENTRIES, self.values, receive=True)}
         self._pending = {cob: data for cob, data in self._pending.items() if cob in self._receive_pdos}
         sent = [
             (pdo, (pdo.can_id, pdo.layout.pack, tuple(self._reader(key) for key in pdo.keys)))
-            for pdo in active_pdos(self.values, receive=False)
+            for pdo in active_pdos(ENTRIES, self.values, receive=False)
         ]
         self._on_sync = [frame for pdo, frame in sent if pdo.kind in SYNCHRONOUS]
         self._timed = [
@@ -289,7 +290,7 @@ class Drive:
         return int(round((self.motion.position(self._now_s) + self._noise()) / step) * step)
 
     def _read(self, key: Key) -> Value:
-        entry_of(key)
+        entry_of(ENTRIES, key)
         return self.values[key] if isinstance(self.values[key], str) else self._reader(key)()
 
     def _write(self, key: Key, value: Value) -> None:
@@ -299,7 +300,7 @@ class Drive:
                 raise SdoAbort(BAD_VALUE)
             self._mode = int(value)
         elif 0x1400 <= index < 0x1C00:
-            check_pdo_write(self.values, key, value)
+            check_pdo_write(ENTRIES, self.values, key, value)
         elif key == (0x1003, 0) and value != 0:
             raise SdoAbort(BAD_VALUE)
         self.values[key] = value

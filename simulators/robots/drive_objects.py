@@ -1,49 +1,13 @@
-"""Object dictionary of one drive, after the device file of the arm, and its SDO server (CiA 301)."""
+"""Object dictionary of one drive, after the device file of the arm."""
 
-import struct
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
-# Abort codes
-TOGGLE_BIT: Final = 0x05030000
-UNKNOWN_COMMAND: Final = 0x05040001
-WRITE_ONLY_READ: Final = 0x06010001
-READ_ONLY_WRITTEN: Final = 0x06010002
-NO_OBJECT: Final = 0x06020000
-CANNOT_BE_MAPPED: Final = 0x06040041
-MAPPING_TOO_LONG: Final = 0x06040042
-WRONG_LENGTH: Final = 0x06070010
-NO_SUBINDEX: Final = 0x06090011
-BAD_VALUE: Final = 0x06090030
-WRONG_STATE: Final = 0x08000022
-
-SIZES: Final = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4, "f32": 4}
-PACKING: Final = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f"}
-
-Value = int | float | str
-Key = tuple[int, int]
+from simulators.canopen_objects import Row, communication, entries_of, mapping
 
 
-class SdoAbort(Exception):
-    """The access is refused with this abort code; never leaves the simulator."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"{code:08X}h")
-        self.code = code
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectEntry:
-    kind: str  # of SIZES, or "text"
-    default: Value
-    writable: bool
-    mappable: bool
-
-
-def _entries() -> dict[Key, ObjectEntry]:
+def _table() -> list[Row]:
     """Every object that this drive has. Absent: 603F, 605A-605E, 6067, 6068, 6071, 6084, 6085, 6099, 60FF."""
-    table: list[tuple[int, int, str, Value, str]] = [
+    table: list[Row] = [
         (0x1000, 0, "u32", 0x00020192, "r"),
         (0x1001, 0, "u8", 0, "rm"),
         (0x1003, 0, "u8", 0, "w"),
@@ -110,9 +74,7 @@ def _entries() -> dict[Key, ObjectEntry]:
         0x1A03: (),
     }
     for index, mapped in maps.items():
-        table.append((index, 0, "u8", len(mapped), "w"))
-        padded = mapped + (0,) * (8 - len(mapped))
-        table += [(index, sub, "u32", value, "w") for sub, value in enumerate(padded, start=1)]
+        table += mapping(index, mapped)
     for index, base, kind in (
         (0x1400, 0x200, 1),
         (0x1401, 0x300, 1),
@@ -121,87 +83,8 @@ def _entries() -> dict[Key, ObjectEntry]:
         (0x1802, 0x380, 1),
         (0x1803, 0x480, 254),
     ):
-        table += [(index, 0, "u8", 5, "r"), (index, 1, "u32", base, "w"), (index, 2, "u8", kind, "w")]
-        table += [(index, 3, "u16", 0, "w"), (index, 5, "u16", 0, "w")]
-    return {
-        (index, sub): ObjectEntry(kind, default, "w" in flags, "m" in flags)
-        for index, sub, kind, default, flags in table
-    }
+        table += communication(index, base, kind)
+    return table
 
 
-ENTRIES: Final = _entries()
-INDEXES: Final = frozenset(index for index, _ in ENTRIES)
-
-
-def entry_of(key: Key) -> ObjectEntry:
-    """Raises SdoAbort if the drive has no such object."""
-    entry = ENTRIES.get(key)
-    if entry is None:
-        raise SdoAbort(NO_SUBINDEX if key[0] in INDEXES else NO_OBJECT)
-    return entry
-
-
-class SdoServer:
-    """Answers the SDO requests to one node: expedited both ways, segmented when the answer is a text.
-
-    `read` and `write` give and take values; both may raise SdoAbort.
-    """
-
-    def __init__(self, read: Callable[[Key], Value], write: Callable[[Key, Value], None]) -> None:
-        self._read, self._write = read, write
-        self._rest = b""  # of a segmented upload under way
-        self._key: Key = (0, 0)
-        self._toggle: int | None = None
-
-    def answer(self, request: bytes) -> bytes:
-        """The 8 bytes to send back; b"" if none."""
-        if len(request) != 8:
-            return b""
-        command = request[0]
-        try:
-            if command >> 5 == 3:
-                return self._segment(command)
-            index, sub = struct.unpack_from("<HB", request, 1)
-            self._key, self._toggle = (index, sub), None
-            if command >> 5 == 2:
-                return self._upload()
-            if command >> 5 == 1:
-                return self._download(command, request[4:])
-            if command >> 5 == 4:
-                return b""  # the client gave up
-            raise SdoAbort(UNKNOWN_COMMAND)
-        except SdoAbort as abort:
-            self._toggle = None
-            return struct.pack("<BHBI", 0x80, *self._key, abort.code)
-
-    def _upload(self) -> bytes:
-        entry = entry_of(self._key)
-        value = self._read(self._key)
-        if isinstance(value, str):
-            self._rest, self._toggle = value.encode("ascii"), 0
-            return struct.pack("<BHBI", 0x41, *self._key, len(self._rest))
-        data = struct.pack("<" + PACKING[entry.kind], value)
-        head = 0x43 | (4 - len(data)) << 2
-        return struct.pack("<BHB4s", head, *self._key, data)
-
-    def _segment(self, command: int) -> bytes:
-        if self._toggle is None:
-            raise SdoAbort(UNKNOWN_COMMAND)
-        if (command >> 4) & 1 != self._toggle:
-            raise SdoAbort(TOGGLE_BIT)
-        piece, self._rest = self._rest[:7], self._rest[7:]
-        head = self._toggle << 4 | (7 - len(piece)) << 1 | (0 if self._rest else 1)
-        self._toggle = self._toggle ^ 1 if self._rest else None
-        return struct.pack("<B7s", head, piece)
-
-    def _download(self, command: int, data: bytes) -> bytes:
-        entry = entry_of(self._key)
-        if not entry.writable:
-            raise SdoAbort(READ_ONLY_WRITTEN)
-        size = SIZES.get(entry.kind, 0)
-        sent = 4 - (command >> 2 & 3) if command & 1 else size
-        if not command & 2 or sent != size:
-            raise SdoAbort(WRONG_LENGTH)
-        (value,) = struct.unpack("<" + PACKING[entry.kind], data[:size])
-        self._write(self._key, value)
-        return struct.pack("<BHBI", 0x60, *self._key, 0)
+ENTRIES: Final = entries_of(_table())

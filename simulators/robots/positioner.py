@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from simulators.robots.drive_objects import Key, Value
+from simulators.canopen_objects import Key, Value
 from simulators.robots.motion_profile import AxisMotion, Phase, plan_move, plan_stop
 
 PROFILE_POSITION: Final = 1

@@ -95,6 +95,11 @@ class StylusContact:
                 return
             self._look(min(max(self._safe_s, self._time_s + SHORTEST_STEP_S), time_s))
 
+    def unchanged_until_s(self, time_s: float) -> float:
+        """`closed` does not change before this, as long as the arm does what it plans at `time_s`."""
+        self.update(time_s)
+        return self._safe_s
+
     def _unchanged_until_s(self) -> float:
         """The contact cannot change before: so long at least the ball needs for the way to a change."""
         time_s = self._time_s

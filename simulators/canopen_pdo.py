@@ -1,19 +1,19 @@
-"""The process data of one drive: which objects travel in which frame, as set at run time (CiA 301)."""
+"""The process data of a CANopen device: which objects travel in which frame, as set at run time (CiA 301)."""
 
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from simulators.robots.drive_objects import (
+from simulators.canopen_objects import (
     BAD_VALUE,
     CANNOT_BE_MAPPED,
-    ENTRIES,
     MAPPING_TOO_LONG,
     NO_OBJECT,
     PACKING,
     SIZES,
     WRONG_STATE,
+    Entries,
     Key,
     SdoAbort,
     Value,
@@ -47,14 +47,19 @@ class TimedPdo:
     frame: SentFrame
 
 
-def check_pdo_write(values: dict[Key, Value], key: Key, value: Value) -> None:
+def is_communication(index: int) -> bool:
+    """Whether this object says how a PDO travels, and not what is in it."""
+    return 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00
+
+
+def check_pdo_write(entries: Entries, values: dict[Key, Value], key: Key, value: Value) -> None:
     """Raises SdoAbort if a communication (14xx, 18xx) or mapping (16xx, 1Axx) object must not become this.
 
     A mapping can be changed only while its PDO is switched off and its count is zero.
     """
     index, sub = key
     number = int(value)
-    if index in range(0x1400, 0x1404) or index in range(0x1800, 0x1804):
+    if is_communication(index):
         if sub == 2 and number not in SYNCHRONOUS + EVENT_DRIVEN:
             raise SdoAbort(BAD_VALUE)
         enabled_before = not int(values[index, 1]) & DISABLED
@@ -67,22 +72,22 @@ def check_pdo_write(values: dict[Key, Value], key: Key, value: Value) -> None:
         if values[index, 0]:
             raise SdoAbort(WRONG_STATE)
         if number:
-            _mapped(number, receive=index < 0x1A00)
+            _mapped(entries, number, receive=index < 0x1A00)
         return
     if number > 8:
         raise SdoAbort(BAD_VALUE)
     bits = 0
     for position in range(1, number + 1):
         mapped = int(values[index, position])
-        _mapped(mapped, receive=index < 0x1A00)
+        _mapped(entries, mapped, receive=index < 0x1A00)
         bits += mapped & 0xFF
     if bits > 64:
         raise SdoAbort(MAPPING_TOO_LONG)
 
 
-def _mapped(word: int, receive: bool) -> Key:
+def _mapped(entries: Entries, word: int, receive: bool) -> Key:
     key = (word >> 16, word >> 8 & 0xFF)
-    entry = ENTRIES.get(key)
+    entry = entries.get(key)
     if entry is None:
         raise SdoAbort(NO_OBJECT)
     if not entry.mappable or (receive and not entry.writable) or SIZES[entry.kind] * 8 != word & 0xFF:
@@ -90,18 +95,18 @@ def _mapped(word: int, receive: bool) -> Key:
     return key
 
 
-def active_pdos(values: dict[Key, Value], receive: bool) -> list[Pdo]:
+def active_pdos(entries: Entries, values: dict[Key, Value], receive: bool) -> list[Pdo]:
     """The PDOs that are switched on and carry something."""
-    base, count = (0x1400, 2) if receive else (0x1800, 4)
+    base = 0x1400 if receive else 0x1800
     result = []
-    for index in range(base, base + count):
+    for index in [index for index, sub in values if base <= index < base + 0x200 and sub == 1]:
         can_id = int(values[index, 1])
         mapping = index + 0x200
         size = int(values[mapping, 0])
         if can_id & DISABLED or not size:
             continue
-        keys = tuple(_mapped(int(values[mapping, sub]), receive) for sub in range(1, size + 1))
-        layout = struct.Struct("<" + "".join(PACKING[ENTRIES[key].kind] for key in keys))
+        keys = tuple(_mapped(entries, int(values[mapping, sub]), receive) for sub in range(1, size + 1))
+        layout = struct.Struct("<" + "".join(PACKING[entries[key].kind] for key in keys))
         event_s = int(values[index, 5]) / 1000
         result.append(Pdo(can_id & 0x7FF, int(values[index, 2]), layout, keys, event_s))
     return result
@@ -109,6 +114,7 @@ def active_pdos(values: dict[Key, Value], receive: bool) -> list[Pdo]:
 
 def default_can_ids(values: dict[Key, Value], node: int) -> None:
     """Power-on COB-IDs depend on the node."""
-    for index in (0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803):
-        values[index, 1] = int(values[index, 1]) + node
+    for index, sub in values:
+        if is_communication(index) and sub == 1:
+            values[index, 1] = int(values[index, 1]) + node
     values[0x1014, 0] = 0x80 + node
