@@ -5,6 +5,7 @@ from typing import Final
 
 from controller.cellfile.arm import Arm
 from controller.cellfile.robots import (
+    AbbRobot,
     CanopenRobot,
     IgusRobot,
     MelfaSerialRobot,
@@ -15,6 +16,7 @@ from controller.cellfile.robots import (
 from drivers import capabilities
 from drivers.clock import Clock
 from drivers.links.interfaces import Ports
+from drivers.robots.abb import AbbConfig, AbbController
 from drivers.robots.canopen_arm import CanopenArm
 from drivers.robots.canopen_arm_setup import ArmConfig
 from drivers.robots.controller_arm import ControllerArm, ControllerArmConfig
@@ -27,6 +29,7 @@ HEARTBEAT_TIMEOUT_S: Final = 0.25  # of a drive
 MASTER_TIMEOUT_S: Final = 0.5  # of this controller, as the drives see it
 LATEST_ANSWER_S: Final = 0.02  # to a SYNC
 SDO_TIMEOUT_S: Final = 0.3
+ABB_REPLY_S: Final = 0.5
 IGUS_REPLY_S: Final = 0.2
 MELFA_REPLY_S: Final = 0.5
 SILENCE_S: Final = 0.2  # so long drives move on without SYNC, and may leave SYNCs unanswered
@@ -42,6 +45,9 @@ def make_robot(
 ) -> capabilities.Robot:
     """The driver of a robot, not connected yet."""
     match robot:
+        case AbbRobot():
+            config = _arm_config(robot, start_gap_s=0.0, step_rad=robot.step_rad)
+            return ControllerArm(_abb(robot, ports, clock, patience), config, clock)
         case CanopenRobot():
             return _canopen(robot, ports, clock, patience, keep_alive_thread)
         case IgusRobot():
@@ -142,3 +148,18 @@ def _ur(robot: UrRobot, ports: Ports, clock: Clock, patience: float) -> UrContro
         dashboard=ports.tcp("robot.dashboard", robot.host, robot.dashboard_port),
     )
     return UrController(links, config, clock)
+
+
+def _abb(robot: AbbRobot, ports: Ports, clock: Clock, patience: float) -> AbbController:
+    ramps_s = robot.speed_rad_s / robot.acceleration_rad_s2
+    config = AbbConfig(
+        reach_m=robot.reach_m,
+        touch_step_s=robot.touch_step_s,
+        stop_delay_s=robot.step_rad / robot.speed_rad_s + ramps_s,
+        model=robot.model,
+        serial_number=robot.serial_number,
+        decimals=robot.decimals,
+        quaternion_decimals=robot.quaternion_decimals,
+        reply_timeout_s=ABB_REPLY_S * patience,
+    )
+    return AbbController(ports.tcp("robot", robot.host, robot.port), config, clock)

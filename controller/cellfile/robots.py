@@ -7,7 +7,7 @@ from pydantic import Field, StringConstraints
 
 from controller.cellfile.arm import Arm
 from controller.cellfile.tables import Host, Text
-from controller.quantities import AngularSpeed, Duration, Frequency
+from controller.quantities import Angle, AngularSpeed, Duration, Frequency, Length
 
 
 class CanopenRobot(Arm):
@@ -112,6 +112,30 @@ class UrRobot(Arm):
     """Longest time from the request to stop until the arm slows down."""
 
 
+class AbbRobot(Arm):
+    """An ABB controller with the open_abb server; it cannot be stopped, so moves go in steps."""
+
+    driver: Literal["abb-open"]
+    """Which driver speaks to it."""
+    host: Host
+    """Name or address of the controller."""
+    port: int = Field(default=5000, ge=1, le=65535)
+    """TCP port of the server program, which has one client."""
+    serial_number: Annotated[str, StringConstraints(max_length=40)] = ""
+    """Compared with what the server answers; "" does not compare."""
+    reach_m: Length = Field(gt=0, le=5)
+    """Largest distance of the flange from a joint axis: the server is told speeds of the flange."""
+    step_rad: Angle = Field(default=radians(10), gt=0, le=radians(360))
+    """Longest way of a joint between two chances to stop."""
+    touch_step_s: Duration = Field(default=0.05, gt=0, le=1)
+    """A guarded move goes in steps of so long at its speed; so far the probe may travel on."""
+    decimals: int = Field(default=2, ge=1, le=4)
+    """Decimals of degrees and millimetres in the replies of the server."""
+    quaternion_decimals: int = Field(default=3, ge=2, le=6)
+    """Decimals of its quaternions."""
+
+
 Robot = Annotated[
-    CanopenRobot | IgusRobot | MelfaTcpRobot | MelfaSerialRobot | UrRobot, Field(discriminator="driver")
+    AbbRobot | CanopenRobot | IgusRobot | MelfaTcpRobot | MelfaSerialRobot | UrRobot,
+    Field(discriminator="driver"),
 ]

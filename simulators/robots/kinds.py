@@ -7,6 +7,7 @@ import numpy as np
 
 from estimation.errors import CellFileError
 from estimation.transform import FloatArray
+from simulators.robots.abb import AbbRobot
 from simulators.robots.canopen_arm import SimulatedArm
 from simulators.robots.igus_irc import IgusRobot
 from simulators.robots.mechanism import MechanicalArm
@@ -24,6 +25,7 @@ def _melfa_serial(
 
 
 ROBOTS: Final[dict[str, Make]] = {
+    "abb-open": AbbRobot,
     "canopen-402": SimulatedArm,
     "igus-irc": IgusRobot,
     "melfa-serial": _melfa_serial,

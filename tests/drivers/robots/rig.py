@@ -24,6 +24,10 @@ IGUS: dict[str, Any] = COARSE | {"driver": "igus-irc", "host": "127.0.0.1", "mod
 UR: dict[str, Any] = {
     "driver": "ur", "host": "127.0.0.1", "model": "UR5", "serial_number": "20235500123"
 }  # fmt: skip
+ABB: dict[str, Any] = {
+    "driver": "abb-open", "host": "127.0.0.1", "model": "IRB 1400", "reach": "900 mm",
+    "in_position": "0.02 deg", "encoder_step": "0.01 deg",
+}  # fmt: skip
 OF_CANOPEN = ("port", "interface", "bitrate", "nodes", "sync_period", "cruise_sync_period")
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from controller.cellfile import load_cell
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
-from tests.drivers.robots.rig import CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
+from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
 
 DEG = np.pi / 180
-ROBOTS: list[dict[str, Any]] = [MELFA_TCP, MELFA_SERIAL, IGUS, UR]
+ROBOTS: list[dict[str, Any]] = [MELFA_TCP, MELFA_SERIAL, IGUS, UR, ABB]
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +49,13 @@ def test_pose_agrees_with_the_joints_by_a_kinematics_of_another_hand(rig: RobotR
     """Cross-check of the reported pose with the estimator's forward kinematics, at three poses."""
 
     model = load_cell(CELL).robot.arm_model()
+    not_abb = rig.table.driver != "abb-open"  # its quaternions have three decimals
     for turn in (0.0, 0.3, -0.4):
         rig.robot.move_joints(rig.table.start_joints_rad + np.array([turn, turn, -turn, 0.5, turn, 1.0]))
         pose = rig.robot._controller.read_pose()  # type: ignore[attr-defined]
         expected = model.flange_pose(rig.robot.read_joints(1).joints_rad)[0]
         assert pose.origin_m == pytest.approx(expected[:3, 3], abs=3e-4)  # 0.01 deg on 0.7 m, and 0.01 mm
-        assert pose.rotation == pytest.approx(expected[:3, :3], abs=8e-4)
+        assert pose.rotation == pytest.approx(expected[:3, :3], abs=8e-4 if not_abb else 2e-3)
 
 
 @pytest.mark.parametrize("speed_deg_s", [0.15, 1.2])
@@ -79,17 +80,19 @@ def test_a_guarded_move_without_contact_ends_at_the_target(rig: RobotRig) -> Non
 def test_a_stop_ends_the_move_and_a_release_allows_the_next(rig: RobotRig) -> None:
     start = rig.truth_rad()
     asked_s = rig.clock.now_s() + 0.4
-    sleep = rig.clock.sleep
+    sleep, advance_to, asked = rig.clock.sleep, rig.clock.advance_to, list[bool]()
 
-    def sleep_and_stop(duration_s: float) -> None:
-        sleep(duration_s)
-        if rig.clock.now_s() >= asked_s:
+    def stop_in_time() -> None:
+        if rig.clock.now_s() >= asked_s and not asked:
+            asked.append(True)
             rig.robot.stop()
 
-    rig.clock.sleep = sleep_and_stop  # type: ignore[method-assign]
+    # Whoever waits, for a while or for an answer, finds the stop requested afterwards.
+    rig.clock.sleep = lambda duration_s: (sleep(duration_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
+    rig.clock.advance_to = lambda time_s: (advance_to(time_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
     with pytest.raises(MotionStopped):
         rig.robot.move_joints(start + 60 * DEG)
-    rig.clock.sleep = sleep  # type: ignore[method-assign]
+    rig.clock.sleep, rig.clock.advance_to = sleep, advance_to  # type: ignore[method-assign]
     assert rig.robot.is_at_rest()
     assert 1 * DEG < np.max(rig.truth_rad() - start) < 59 * DEG
     with pytest.raises(MotionStopped):
