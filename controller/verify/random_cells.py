@@ -16,7 +16,7 @@ import numpy as np
 
 from controller.verify.executor import Executor
 from estimation.belief import Belief
-from estimation.bump import FREEDOMS, bump_test
+from estimation.bump import FREEDOMS, bump_distance2
 from estimation.errors import CellError, EstimationError
 from estimation.kinematics import PARAMETER_NAMES, ArmModel
 from estimation.measurement import Chain, Observations
@@ -95,9 +95,8 @@ def estimate_cell(cell: Mapping[str, Any]) -> dict[str, float | None]:
     found["hand-eye"] = normalised_error_squared(laser, calibrated.block_covariance("laser"))
     try:
         again = [_observations(cell, "plate_again"), _observations(cell, "bar")]
-        test = bump_test(_with_bar(calibrated, cell["declared"]), arm, again)
-        error = test.bump - np.array(truth["bump"])
-        found["bar check"] = normalised_error_squared(error, test.covariance)
+        known, bump = _with_bar(calibrated, cell["declared"]), np.array(truth["bump"])
+        found["bar check"] = bump_distance2(known, arm, again, bump)
     except EstimationError:
         pass
     try:

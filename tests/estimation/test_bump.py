@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from estimation.belief import Belief
-from estimation.bump import BumpTest, bump_test
+from estimation.bump import BumpTest, bump_distance2, bump_test
 from estimation.errors import EstimationError
 from estimation.measurement import Chain, Observations
 from estimation.solver import update
@@ -69,6 +69,17 @@ def test_honest_cells_pass_as_often_as_the_level_says() -> None:
     assert np.mean(statistics) == pytest.approx(5, abs=2.6 * np.sqrt(2 * 5 / 40))
     assert np.mean(rest) == pytest.approx(1, abs=2.6 * np.sqrt(2 / 35 / 40))
     assert result.limit == pytest.approx(16.7496, abs=1e-3)
+
+
+def test_the_true_bump_is_as_far_from_the_best_as_chi_square_says() -> None:
+    bump = np.array(BUMPS["along its x"][:5])
+    distances2 = []
+    for seed in range(200, 240):
+        rng = np.random.default_rng(seed)
+        truth, belief = calibrated(rng)
+        moved = check(rng, truth.bumped(np.append(bump, 0.0)))
+        distances2.append(bump_distance2(belief, ARM, moved, bump))
+    assert np.mean(distances2) == pytest.approx(5, abs=2.6 * np.sqrt(2 * 5 / 40))
 
 
 def test_a_check_leaves_the_belief_as_it_was() -> None:
