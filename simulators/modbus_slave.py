@@ -1,4 +1,4 @@
-"""A Modbus RTU slave (Modbus over serial line V1.02): frames end with 3.5 bytes of silence.
+"""Modbus registers (Application Protocol V1.1b3), and an RTU slave: frames end with 3.5 bytes of silence.
 
 Written without the library that the drivers use. Silent on wrong CRC, on another unit and after a broadcast.
 """
@@ -55,18 +55,21 @@ def answer(frame: bytes, unit: int, functions: Sequence[int], registers: Registe
         return b""
     if frame[0] not in (unit, BROADCAST):
         return b""
-    function, body = frame[1], frame[2:-2]
-    if frame[0] == BROADCAST and function in READS:
+    if frame[0] == BROADCAST and frame[1] in READS:
         return b""
+    reply = bytes([unit]) + answer_pdu(frame[1:-2], functions, registers, time_s)
+    return b"" if frame[0] == BROADCAST else reply + crc(reply)
+
+
+def answer_pdu(pdu: bytes, functions: Sequence[int], registers: Registers, time_s: float) -> bytes:
+    """The answer to a function with its parameters, good or refused."""
+    function = pdu[0]
     try:
         if function not in functions:
             raise Refused(ILLEGAL_FUNCTION)
-        payload = _execute(function, body, registers, time_s)
-        pdu = bytes([function]) + payload
+        return bytes([function]) + _execute(function, pdu[1:], registers, time_s)
     except Refused as refused:
-        pdu = bytes([function | 0x80, refused.code])
-    reply = bytes([unit]) + pdu
-    return b"" if frame[0] == BROADCAST else reply + crc(reply)
+        return bytes([function | 0x80, refused.code])
 
 
 def _execute(function: int, body: bytes, registers: Registers, time_s: float) -> bytes:

@@ -7,15 +7,19 @@ import minimalmodbus
 import numpy as np
 import pytest
 import serial
+from pyModbusTCP.client import ModbusClient
 
 from estimation.transform import FloatArray
+from simulators.modbus_server import ModbusConnection
+from simulators.probes.adam6052 import Adam6052
 from simulators.probes.wago750 import Wago750, WagoSpec
 from simulators.sensors.ams335i import Ams335i, AmsSpec
 from simulators.sensors.ft300 import Ft300, Ft300Spec
+from simulators.sensors.gocator import Gocator, GocatorSpec
 from simulators.sensors.riftek import Rf60x
 from simulators.sensors.riftek_head import MODBUS_RTU, RiftekSpec
 from simulators.slcan import SlcanDevice
-from tests.support.wires import on_serial_port
+from tests.support.wires import on_serial_port, on_tcp_port
 
 pytestmark = pytest.mark.wire
 
@@ -38,7 +42,7 @@ OBJECTS = {  # what the library must be told of a device
 class Contact:
     """Closed by hand."""
 
-    closed = False
+    closed, count = False, 0
 
     def update(self, time_s: float) -> None:
         pass
@@ -149,3 +153,34 @@ def test_canopen_reads_the_distance_laser(tmp_path: Path) -> None:
         assert node.tpdo[2].wait_for_reception(5.0)
         assert [variable.raw for variable in node.tpdo[2].map] == [1000, 0]
         node.network.disconnect()
+
+
+def test_pymodbustcp_reads_the_profiler() -> None:
+    head = Gocator(GocatorSpec(zero_m=0.112345), Still(), 0.0, 0.0, np.random.default_rng(1))
+    with on_tcp_port(head.connect) as port:
+        client = ModbusClient("127.0.0.1", port, timeout=10.0)
+        assert client.write_multiple_registers(0, [1])
+        while client.read_holding_registers(301, 1) != [0]:
+            pass
+        assert client.read_holding_registers(300, 2) == [1, 0]
+        while client.read_input_registers(996, 7)[3] == 0:
+            pass
+        assert client.read_input_registers(1000, 3) == [0, 12345, 1]
+        name = client.read_holding_registers(311, 6)
+        assert bytes(name[1 : 1 + name[0]]) == b"block"
+        assert client.read_holding_registers(0, 1) is None and client.last_except == 2
+        client.close()
+
+
+def test_pymodbustcp_reads_the_remote_io() -> None:
+    module = Adam6052(Contact(), 0x6052, 0, 0.001)
+    with on_tcp_port(lambda: ModbusConnection(module)) as port:
+        client = ModbusClient("127.0.0.1", port, timeout=10.0)
+        module._switch.closed, module._switch.count = True, 70_000
+        assert client.read_discrete_inputs(0, 8) == [True] + [False] * 7
+        low, high = client.read_input_registers(0, 2)
+        assert high << 16 | low == 70_000
+        assert client.read_holding_registers(210, 1) == [0x6052]
+        assert client.write_single_coil(17, True) and client.read_coils(16, 3) == [False, True, False]
+        assert client.read_input_registers(16, 1) is None and client.last_except == 2
+        client.close()
