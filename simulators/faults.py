@@ -228,12 +228,12 @@ class FaultyCan:
             return heapq.heappop(self._queue)[2]
         return None
 
-    def next_frame(self, until_s: float) -> Frame | None:
-        """The next frame by then, if any."""
+    def next_frames(self, until_s: float) -> list[Frame]:
+        """The frames that come together next, if that is by then."""
         if not (self._faults or self._queue):
-            return self._device.next_frame(until_s)
+            return self._device.next_frames(until_s)
         while (due_s := self.next_output_s()) <= until_s:
             frame = self.take(due_s)
             if frame is not None:
-                return frame
-        return None
+                return [frame]
+        return []

@@ -39,5 +39,5 @@ class CanDevice(Protocol):
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
 
-    def next_frame(self, until_s: float) -> Frame | None:
-        """The next frame that is on the bus by then, if any; everything before it has happened."""
+    def next_frames(self, until_s: float) -> list[Frame]:
+        """The frames that come together next, if that is by then; everything before has happened."""

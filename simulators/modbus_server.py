@@ -1,5 +1,6 @@
 """The device end of a Modbus TCP connection. Framing and PDUs are pymodbus's."""
 
+import functools
 import logging
 import math
 from collections import deque
@@ -29,7 +30,10 @@ class ModbusConnection:
 
     def __init__(self, module: ModbusModule) -> None:
         self._module = module
-        self._framer = FramerSocket(DecodePDU(is_server=True))
+        decoder = DecodePDU(is_server=True)
+        # A touch asks the same thing hundreds of times.
+        decoder.decode = functools.lru_cache(maxsize=16)(decoder.decode)  # type: ignore[method-assign]
+        self._framer = FramerSocket(decoder)
         self._input = b""
         self._output: deque[tuple[float, bytes]] = deque()
 

@@ -4,6 +4,7 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -91,20 +92,22 @@ class VirtualCanLink(_VirtualLink):
     def __init__(self, name: str, clock: VirtualClock, device: CanDevice) -> None:
         super().__init__(name, clock)
         self._device = FaultyCan(device, self.faults)
+        self._arrived = deque[Frame]()
 
     def send(self, can_id: int, data: bytes) -> None:
         self._device.receive(can_id, data, self._check_plugged())
 
     def receive(self, timeout_s: float) -> Frame | None:
-        clock = self._clock
-        deadline_s = self._check_plugged() + timeout_s
-        frame = self._device.next_frame(min(deadline_s, self.unplug_at_s))
-        clock.advance_to(min(deadline_s, self.unplug_at_s) if frame is None else frame.time_s)
-        self._check_plugged()
-        return frame
+        if not self._arrived:
+            until_s = min(self._check_plugged() + timeout_s, self.unplug_at_s)
+            self._arrived.extend(self._device.next_frames(until_s))
+            self._clock.advance_to(self._arrived[0].time_s if self._arrived else until_s)
+            self._check_plugged()
+        return self._arrived.popleft() if self._arrived else None
 
     def reopen(self) -> None:
         super().reopen()
+        self._arrived.clear()
         while self._device.take(self._clock.now_s()) is not None:
             pass
 

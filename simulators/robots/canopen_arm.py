@@ -85,15 +85,19 @@ class SimulatedArm(MechanicalArm):
     def _schedule(self) -> None:
         self._next_event_s = min([drive.next_event_s for drive in self.drives])
 
-    def next_frame(self, until_s: float) -> Frame | None:
-        """The next frame that is on the bus by then, if any; everything before it has happened."""
+    def next_frames(self, until_s: float) -> list[Frame]:
+        """The frames that come together next, if that is by then; everything before has happened."""
         output = self._output
-        while True:
-            if output and output[0].time_s < self._next_event_s:
-                return output.popleft() if output[0].time_s <= until_s else None
+        while not output or output[0].time_s >= self._next_event_s:
             if self._next_event_s > until_s:
-                return None
+                return []
             self.advance(self._next_event_s)
+        first_s = output[0].time_s
+        together = list[Frame]()
+        if first_s <= until_s:
+            while output and output[0].time_s == first_s:
+                together.append(output.popleft())
+        return together
 
     def take(self, time_s: float) -> Frame | None:
         """The oldest frame that was on the bus by then."""
