@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.errors import CellFileError, DeviceError
-from simulators.virtual import SimulatedCell
+from simulators.virtual import SimulatedCell, VirtualCanLink
 
 
 @pytest.fixture
@@ -67,15 +67,15 @@ def test_one_seed_is_one_story(cell_dir: Path) -> None:
 # -- faults --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["arm_link", "laser_link", "probe_link"])
+@pytest.mark.parametrize("name", ["robot", "laser", "probe"])
 def test_an_unplugged_link_is_gone_until_it_is_plugged_in_and_reopened(
     cell: SimulatedCell, name: str
 ) -> None:
-    link = getattr(cell, name)
+    link = cell.ports.links[name]
     link.unplugged = True
-    read = link.receive if name == "arm_link" else link.read
+    read = link.receive if isinstance(link, VirtualCanLink) else link.read
     for action in (lambda: read(0.1), link.reopen):
-        with pytest.raises(DeviceError, match=f"Port {name.removesuffix('_link')} is gone"):
+        with pytest.raises(DeviceError, match=f"Port {name} is gone"):
             action()
     link.unplugged = False
     link.reopen()
