@@ -20,7 +20,7 @@ LASER_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the beam change
 PLANE_FREEDOMS = ("tz", "rx", "ry")
 BAR_FREEDOMS = ("tx", "ty", "tz", "rx", "ry")  # turning about the line of centres changes nothing
 POINT_FREEDOMS = ("tx", "ty", "tz")
-INSPECTED_U_M = 1e-3  # prior of an inspected size or place: wide, so that no wish enters the verdict
+INSPECTED_U_M = 1e-3  # of a size or place that is still to be inspected, for aiming
 
 
 def first_belief(cell: Cell) -> Belief:
@@ -97,14 +97,14 @@ def with_probe(belief: Belief, cell: Cell) -> Belief:
     )
 
 
-def with_inspected(belief: Belief, cell: Cell) -> Belief:
-    """Adds size and place of each bore and boss, as good as unknown."""
+def with_inspected(belief: Belief, cell: Cell, u_m: float = INSPECTED_U_M) -> Belief:
+    """Adds size and place of each bore and boss; with an infinite u only measurements can tell them."""
     for feature in part_features(cell):
         if feature.kind == "cylinder":
             belief = belief.with_block(
                 f"part.{feature.name}",
                 np.zeros(3),
-                std=INSPECTED_U_M,
+                std=u_m,
                 freedoms=feature.deviations,
                 units=["m"] * 3,
                 source="inspected feature",

@@ -8,6 +8,8 @@ from controller.cellfile.tables import Count, Name, Table
 from controller.quantities import Duration, Length, Ratio
 
 DAY_S: Final = 86400.0
+# Statistical tests of a phase: noise of joints, cycles and points; residuals; a bump and what it leaves.
+_TESTS: Final = {"noise": 3, "hand_eye": 1, "check": 2, "localize": 1, "inspect": 2}
 
 
 class NoisePhase(Table):
@@ -78,8 +80,6 @@ class CheckPhase(Table):
     """Plate poses of the hand-eye measured again (check of a hand-eye)."""
     points: int = Field(default=0, ge=0, le=1000)
     """Points on the part (check of a localization)."""
-    level: Ratio = Field(ge=1e-6, le=0.1)
-    """Probability with which the test refuses an honest cell."""
 
 
 class InspectPhase(Table):
@@ -89,6 +89,8 @@ class InspectPhase(Table):
     """What the phase does, and which keys it has."""
     name: Name
     """Name of the phase, unique in the job."""
+    most_measurements: Annotated[int, Field(ge=1, le=10_000)] = 200
+    """Budget for touches that are added where a characteristic is not decidable."""
 
 
 Phase = Annotated[
@@ -103,5 +105,12 @@ class Job(Table):
     """Conformity and non-conformity must both be proven; between them nothing is claimed."""
     conformance_probability: Ratio = Field(default=0.95, ge=0.5, lt=1)
     """Probability with which conformity must be proven."""
+    false_alarms: Ratio = Field(default=0.01, ge=1e-6, le=0.1)
+    """Probability with which the statistical tests of one job, all together, refuse an honest cell."""
     phases: Annotated[tuple[Phase, ...], Field(min_length=1)]
     """Phases in order."""
+
+    @property
+    def test_level(self) -> float:
+        """Probability with which any one test may refuse an honest cell: its share after Bonferroni."""
+        return self.false_alarms / sum(_TESTS[phase.kind] for phase in self.phases)

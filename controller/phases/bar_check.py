@@ -39,7 +39,7 @@ class BarCheckPhase(OnePlan):
     ) -> Finding:
         prior = with_bar(context.belief, context.cell)
         batches = observations(context.cell, good(samples))
-        test = bump_test(prior, context.arm, batches, level=context.spec.level)
+        test = bump_test(prior, context.arm, batches, level=context.cell.job.test_level)
         hand_eye = checked_phase(context, job.HandEyePhase)
         shifts = _shifts(context, test, np.array(hand_eye.gated_ranges_m))
         proofs = (

@@ -13,8 +13,6 @@ from estimation.solver import Update
 from estimation.statistics import Outcome, coverage_factor
 from estimation.transform import FloatArray, Transform
 
-CONSISTENCY_LEVEL = 0.002  # probability that an honest cell fails the chi-square test of one fit
-
 
 def gated_points(points: Points, belief: Belief, names: Sequence[str]) -> list[dict[str, Any]]:
     """U, ellipsoid and budget of each point: what a gate looks at and a picture shows."""
@@ -59,8 +57,8 @@ def uncertainty_proof(gated: Sequence[Mapping[str, Any]], limit_m: float) -> Pro
     )
 
 
-def consistency_proof(update: Update, what: str = "", level: float = CONSISTENCY_LEVEL) -> Proof:
-    """Residuals against the declared noise, full covariance, both ways (STANDARDS: global test)."""
+def consistency_proof(update: Update, level: float, what: str = "") -> Proof:
+    """Residuals against the declared noise, full covariance, both ways; an honest cell fails at `level`."""
     lower, upper = (float(chdtri(update.dof, p)) for p in (1 - level / 2, level / 2))
     inside = lower <= update.chi2 <= upper
     word = (
@@ -94,13 +92,13 @@ def rank_proof(update: Update) -> Proof:
 
 
 def uncertainty_verdict(
-    update: Update, gated: Sequence[Mapping[str, Any]], limit_m: float, what: str
+    update: Update, gated: Sequence[Mapping[str, Any]], limit_m: float, what: str, level: float
 ) -> Verdict:
     """The gate of a phase that estimates: every freedom seen, residuals as declared, U within the limit.
 
     Only too large a U can be cured by measuring more of the same.
     """
-    rank, consistency = rank_proof(update), consistency_proof(update)
+    rank, consistency = rank_proof(update), consistency_proof(update, level)
     uncertainty = uncertainty_proof(gated, limit_m)
     if rank.outcome is not Outcome.OK and update.rank is not None:
         remedy = "; ".join(dict.fromkeys(direction.remedy for direction in update.rank.missing))

@@ -40,7 +40,8 @@ class HandEyePhase(OnePlan):
             reject_level=OUTLIER_LEVEL,
         )
         gated = self.gated(context, fit.belief)
-        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Hand-eye")
+        level = context.cell.job.test_level
+        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Hand-eye", level)
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("laser")),
             "values": findings.block_values(

@@ -76,7 +76,8 @@ class LocalizePhase(OnePlan):
         corners = part_corners_m(context.cell)
         names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f})" for x, y, z in corners]
         gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
-        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Part")
+        level = context.cell.job.test_level
+        verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Part", level)
         faces = [f"part.{name}" for name in context.spec.faces]
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("part")),

@@ -19,8 +19,6 @@ from estimation.model import evaluate
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
-LEVEL = 0.001  # probability that an honest joint or laser is called too noisy
-
 
 class NoisePhase(OnePlan):
     """Scatter of readings at rest, and of laser points on a small patch of the plate."""
@@ -59,9 +57,9 @@ def _pooled(scatter: FloatArray, counts: FloatArray) -> tuple[FloatArray, float]
     return np.sqrt(np.tensordot(dof, scatter**2, axes=1) / dof.sum()), float(dof.sum())
 
 
-def _upper(dof: float, tests: int = 1) -> float:
-    """Largest ratio of seen to declared standard deviation that honest noise shows."""
-    return float(np.sqrt(chdtri(dof, LEVEL / tests) / dof))
+def _upper(dof: float, level: float) -> float:
+    """Largest ratio of seen to declared standard deviation, which honest noise exceeds at `level`."""
+    return float(np.sqrt(chdtri(dof, level) / dof))
 
 
 def _joint_proofs(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample]) -> list[Proof]:
@@ -71,7 +69,7 @@ def _joint_proofs(context: PhaseContext[job.NoisePhase], samples: Sequence[Sampl
     scatter = np.array([sample.joint_scatter_rad for sample in samples])
     seen, dof = _pooled(scatter, np.array([sample.joint_readings for sample in samples], dtype=np.float64))
     declared = np.sqrt(robot.joint_noise_rad**2 + robot.encoder_step_rad**2 / 12)
-    limit = declared * _upper(dof, len(seen))
+    limit = declared * _upper(dof, context.cell.job.test_level / len(seen))
     order = np.argsort(-seen)  # the noisiest first: a message names that joint
     return [
         Proof.at_most(
@@ -92,10 +90,11 @@ def _reading_proof(context: PhaseContext[job.NoisePhase], samples: Sequence[Samp
     scatter = np.array([[sample.reading_scatter_m] for sample in samples])
     seen, dof = _pooled(scatter, np.array([sample.readings for sample in samples], dtype=np.float64))
     declared = context.cell.laser.reading_noise_m
+    limit = 1.02 * declared * _upper(dof, context.cell.job.test_level)  # the step of its output adds 1 %
     return Proof.at_most(
         "noise of one laser cycle",
         float(seen[0] * 1e3),
-        declared * 1e3 * _upper(dof) * 1.02,  # the step of the sensor's output adds about 1 %
+        limit * 1e3,
         "mm",
         f"at rest, {dof:.0f} degrees of freedom, declared {declared * 1e3:.3f} mm",
     )
@@ -117,7 +116,7 @@ def _point_proof(context: PhaseContext[job.NoisePhase], samples: Sequence[Sample
     return Proof.at_most(
         "noise of laser points",
         seen * 1e3,
-        declared * 1e3 * _upper(dof),
+        declared * 1e3 * _upper(dof, context.cell.job.test_level),
         "mm",
         f"about a local plane, {dof} degrees of freedom, declared {declared * 1e3:.3f} mm",
     )

@@ -47,7 +47,7 @@ class PartCheckPhase(OnePlan):
         guarded_m = localize.limit_m - GUARD * own_u_m
         excess = np.abs(prediction.residual_m) - guarded_m
         worst = int(np.argmax(excess))
-        upper = float(chdtri(len(points), context.spec.level))
+        upper = float(chdtri(len(points), context.cell.job.test_level))
         proofs = (
             Proof.at_most(
                 "missing check points",

@@ -9,7 +9,7 @@ from controller.planning.estimated import (
     plan_localize,
     plan_part_check,
 )
-from controller.planning.inspection import plan_inspect
+from controller.planning.inspection import more_inspect, plan_inspect
 from controller.planning.plan import Plan
 from controller.planning.steps import Step
 
@@ -17,6 +17,7 @@ __all__ = [
     "Plan",
     "Step",
     "more_hand_eye",
+    "more_inspect",
     "more_localize",
     "plan_bar_check",
     "plan_coarse_localize",

@@ -1,6 +1,6 @@
 """The plan of an inspection: qualify the stylus on its sphere, then touch datums and tolerated features."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,7 @@ from controller.knowledge import part_faces
 from controller.planning.faces import FaceSampler
 from controller.planning.plan import Plan
 from controller.planning.poses import IntArray, directions_around
-from controller.planning.steps import named
+from controller.planning.steps import Step, named
 from controller.planning.touches import HOVER_M, Aims, Touches, contacts_of, touch_steps, touches_of
 from controller.planning.workspace import Workspace, features_of, observations_of, rows_of
 from estimation import design
@@ -32,6 +32,7 @@ STYLUS_TILT_RAD: Final = np.radians(30.0)  # of the tool, so that the stylus is 
 EDGE_M: Final = 0.006  # of a touch from the edges of its face
 DEEPEST_M: Final = 0.026  # below the top of the part: so far the stylus reaches with its body over the part
 SPINS: Final = 16
+_GOLDEN: Final = 0.382
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
 
@@ -45,11 +46,31 @@ def plan_inspect(cell: Cell, belief: Belief, arm: ArmModel, spec: job.InspectPha
     groups = [("stylus", _sphere_touches(workspace, seed))]
     faces = part_faces(cell)
     for name, count in _wanted(cell).items():
-        points = _plane_aims if faces[name].kind == "plane" else _cylinder_aims
-        groups.append((name, _fixed_touches(workspace, name, count, points)))
+        pattern = _plane_aims if faces[name].kind == "plane" else _cylinder_aims
+        groups.append((name, _fixed_touches(workspace, name, range(count), pattern)))
     steps = named(touch_steps(workspace, groups), spec.name)
     taken = [observations_of(workspace, touches.contact) for _, touches in groups]
     return Plan(steps, (), predicted_belief(belief, Chain(arm, taken), spec.name))
+
+
+def more_inspect(
+    cell: Cell, belief: Belief, arm: ArmModel, steps: Sequence[Step], names: Collection[str], rounds: int
+) -> Plan:
+    """`rounds` times the first touches of the features `names`, between those of `steps`.
+
+    The belief has used the touches of `steps` already.
+    """
+    workspace = Workspace(cell, arm, belief)
+    faces = part_faces(cell)
+    groups = []
+    for name, count in _wanted(cell).items():
+        if name in names:
+            first = sum(step.object == "part" and step.feature == name for step in steps)
+            numbers = range(first, first + rounds * count)
+            pattern = _plane_aims if faces[name].kind == "plane" else _cylinder_aims
+            groups.append((name, _fixed_touches(workspace, name, numbers, pattern)))
+    touched = [observations_of(workspace, touches.contact) for _, touches in groups]
+    return Plan(touch_steps(workspace, groups), (), predicted_belief(belief, Chain(arm, touched), "touch"))
 
 
 def _wanted(cell: Cell) -> dict[str, int]:
@@ -103,16 +124,16 @@ def _sphere_touches(workspace: Workspace, seed: int) -> Touches:
     return possible.take(chosen)
 
 
-Pattern = Callable[[Workspace, str, int], tuple[FloatArray, FloatArray, FloatArray]]
+Pattern = Callable[[Workspace, str, range], tuple[FloatArray, FloatArray, FloatArray]]
 
 
-def _fixed_touches(workspace: Workspace, name: str, count: int, pattern: Pattern) -> Touches:
-    """A fixed pattern of contacts, with the spin of the tool that suits all of them best.
+def _fixed_touches(workspace: Workspace, name: str, numbers: range, pattern: Pattern) -> Touches:
+    """Contacts of these numbers in an endless pattern, with the spin of the tool that suits all of them best.
 
     One spin for all touches of a feature, so that the stylus position cancels; where none reaches all
     of them, each takes the nearest to the one that reaches most.
     """
-    contact, normal, hover = pattern(workspace, name, count)
+    contact, normal, hover = pattern(workspace, name, numbers)
     features = features_of(workspace, "part")
     place = [feature.name for feature in features].index(name)
     many = len(normal) * SPINS
@@ -148,26 +169,33 @@ def _fixed_touches(workspace: Workspace, name: str, count: int, pattern: Pattern
     return touches.take(table[best, np.arange(len(normal))])
 
 
-def _plane_aims(workspace: Workspace, name: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _plane_aims(workspace: Workspace, name: str, numbers: range) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Contacts spread as far apart as the face allows."""
     sampler = FaceSampler.of(workspace.cell, name)
     points = sampler.draw(np.random.default_rng(0), 400, EDGE_M)
     top_m = _top_m(workspace)
     points = points[points[:, 2] > top_m - DEEPEST_M]
-    spread = points[_farthest(points, count)]
+    spread = points[_farthest(points, numbers.stop)[numbers.start :]]
     ball_m = workspace.cell.probe.ball_radius_m
     normal = np.broadcast_to(sampler.normal, spread.shape)
     return spread + ball_m * normal, normal, spread + (ball_m + HOVER_M) * normal
 
 
-def _cylinder_aims(workspace: Workspace, name: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Two circles of contacts, turned against each other; hovering on the axis of a bore, outside a boss."""
+def _cylinder_aims(
+    workspace: Workspace, name: str, numbers: range
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Two circles of contacts, turned against each other; hovering on the axis of a bore, outside a boss.
+
+    Each further pair of circles is turned by the golden part of the step between contacts.
+    """
     face = part_faces(workspace.cell)[name]
     low, high = _extent_m(face)
-    half = -(-count // 2)
-    heights = low + (high - low) * np.repeat([0.3, 0.75], half)[:count]
-    angle = 2.0 * np.pi * np.arange(count) / half + np.where(np.arange(count) < half, 0.0, np.pi / half)
-    radial = directions_around(face.axis, np.full(count, np.pi / 2), angle)
+    around = CYLINDER_TOUCHES // 2
+    turn, place = np.divmod(np.array(numbers), CYLINDER_TOUCHES)
+    second = place >= around
+    heights = low + (high - low) * np.where(second, 0.75, 0.3)
+    angle = 2.0 * np.pi / around * (place + 0.5 * second + _GOLDEN * turn)
+    radial = directions_around(face.axis, np.full(len(numbers), np.pi / 2), angle)
     normal = radial if face.outward else -radial
     axis_p = face.point_m + heights[:, None] * face.axis
     ball_m = workspace.cell.probe.ball_radius_m
