@@ -1,4 +1,4 @@
-"""Faces of a STEP part as typed surfaces and triangles: metres, frame of the part.
+"""Faces of a CAD part (STEP, STL, PLY) as typed surfaces and triangles: metres, frame of the part.
 
 The one module of this package that reads files. A file is parsed in a process of its own
 (`cad_import.py`); with `cache_dir` the result is kept under the digest of the file, so that a restart does
@@ -28,6 +28,8 @@ IntArray = NDArray[np.int64]
 
 LARGEST_PART_M: Final = 5.0
 IMPORT_TIMEOUT_S: Final = 30.0
+MESH_SUFFIXES: Final = (".stl", ".ply")
+OPEN_MESH: Final = 3  # exit code of the importer
 IMPORTER: Final = Path(__file__).with_name("cad_import.py")
 
 _REAL = rb"[-+0-9.Ee]+"
@@ -83,20 +85,35 @@ class CadMesh:
     face_index: IntArray  # (m,) the CadFace.index of each triangle
 
 
-def read_step_faces(path: Path, cache_dir: Path | None = None) -> tuple[CadFace, ...]:
+def read_faces(path: Path, cache_dir: Path | None = None, unit_m: float = 1e-3) -> tuple[CadFace, ...]:
     """All faces of the part; the same file always gives the same order and `index`.
 
-    Raises CellFileError for a file that is missing, broken, without faces, or larger than 5 m.
+    A STEP file says its unit itself; an STL or PLY mesh is in `unit_m`, and must be closed. Of a mesh, flat
+    regions are planes; the rest is free form, one face for each smooth region.
+
+    Raises CellFileError for a file that is missing, broken, open, without faces, or larger than 5 m.
     """
+    mesh = path.suffix.lower() in MESH_SUFFIXES
+    return _read(path, cache_dir, str(unit_m) if mesh else None)
+
+
+def read_step_faces(path: Path, cache_dir: Path | None = None) -> tuple[CadFace, ...]:
+    """All faces of a STEP part; raises like `read_faces`."""
+    return _read(path, cache_dir, None)
+
+
+def _read(path: Path, cache_dir: Path | None, mesh_unit: str | None) -> tuple[CadFace, ...]:
     try:
         content = path.read_bytes()
     except OSError as error:
         raise CellFileError(
             f"The CAD file {path} cannot be read: {error.strerror}", "Check its path"
         ) from None
-    _refuse_unreadable(path, content)
-    importer = IMPORTER.read_bytes()  # part of the key: another importer gives other triangles
-    digest = hashlib.sha256(hashlib.sha256(importer).digest() + content).hexdigest()
+    if mesh_unit is None:
+        _refuse_unreadable(path, content)
+    # Part of the key: another importer gives other triangles, another unit another size.
+    key = hashlib.sha256(IMPORTER.read_bytes() + (mesh_unit or "").encode()).digest()
+    digest = hashlib.sha256(key + content).hexdigest()
     cached = cache_dir / f"{digest}.npz" if cache_dir else None
     if cached is not None:
         try:
@@ -105,7 +122,7 @@ def read_step_faces(path: Path, cache_dir: Path | None = None) -> tuple[CadFace,
             pass  # not there yet, or damaged: the file itself is what counts
     with tempfile.TemporaryDirectory(prefix="truecell-cad-") as folder:
         parsed = Path(folder, "part.npz")
-        _import(path, content, parsed)
+        _import(path, content, parsed, mesh_unit)
         faces = _load_faces(path, parsed)
         if cached is not None:
             _keep(parsed, cached)
@@ -204,10 +221,11 @@ def _unit_m(content: bytes) -> float:
     return 1e-3 if unit_m is None else unit_m
 
 
-def _import(path: Path, content: bytes, out: Path) -> None:
-    source = out.with_suffix(".step")
+def _import(path: Path, content: bytes, out: Path, mesh_unit: str | None) -> None:
+    source = out.with_suffix(path.suffix.lower() if mesh_unit else ".step")
     source.write_bytes(content)  # what was hashed is what is parsed, even if the file changes meanwhile
     command = [sys.executable, "-P", str(IMPORTER), str(source), str(out)]
+    command += [mesh_unit] if mesh_unit else []
     try:
         done = subprocess.run(command, capture_output=True, timeout=IMPORT_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired:
@@ -219,6 +237,11 @@ def _import(path: Path, content: bytes, out: Path) -> None:
         raise CellFileError(
             f"The CAD file {path} cannot be read: {done.stderr.decode(errors='replace').splitlines()[-1]}",
             "Install truecell again with all its dependencies",
+        )
+    if done.returncode == OPEN_MESH:
+        raise CellFileError(
+            f"The mesh {path} is open: {int(done.stderr.split()[-1])} edges belong to one triangle only",
+            "Close it in a mesh editor, or export the solid as STEP",
         )
     if done.returncode != 0 or not out.exists():
         raise CellFileError(

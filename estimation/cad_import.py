@@ -1,4 +1,4 @@
-"""The import of a STEP file, as a script of its own: python cad_import.py part.step out.npz
+"""The import of a CAD file, as a script of its own: python cad_import.py part.step out.npz [unit in metres]
 
 It runs in a process with a time limit, because the geometry kernel prints on stdout, may not return on absurd
 input, and takes seconds to load. `estimation.cad` starts it and reads what it writes.
@@ -16,6 +16,10 @@ import trimesh
 
 CHORD_MM = 0.01  # largest distance of a mesh triangle to its surface; the kernel takes it in mm
 CHORD_RAD = 0.2
+OPEN_MESH = 3  # exit code
+FLAT_RAD = 1e-3  # between neighbours on one plane: the corners of a mesh are often rounded to float32
+SMOOTH_RAD = np.radians(25.0)  # between neighbours on one curved face
+LEAST_PLANE = 1e-3  # of all area: smaller flat patches belong to something curved
 
 
 def main(step: Path, out: Path) -> int:
@@ -50,5 +54,50 @@ def main(step: Path, out: Path) -> int:
     return 0
 
 
+def main_mesh(path: Path, out: Path, unit_m: float) -> int:
+    """STL or PLY: flat regions are planes, the smooth rest is one face for each connected region."""
+    mesh = trimesh.load(path, force="mesh", process=True)
+    mesh = trimesh.Trimesh(np.asarray(mesh.vertices) * unit_m, mesh.faces)
+    mesh.merge_vertices()
+    if not len(mesh.faces):
+        return 1
+    uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
+    if (uses == 1).any():
+        print(int((uses == 1).sum()), file=sys.stderr)
+        return OPEN_MESH
+    if mesh.volume < 0.0:
+        mesh.invert()
+    flat = _regions(mesh, FLAT_RAD, np.ones(len(mesh.faces), dtype=bool))
+    area = np.bincount(flat, weights=mesh.area_faces)
+    plane = area[flat] >= LEAST_PLANE * area.sum()
+    curved = _regions(mesh, SMOOTH_RAD, ~plane)
+    _, face_index = np.unique(np.where(plane, flat, len(area) + curved), return_inverse=True)
+    faces: list[dict[str, object] | None] = []
+    for index in range(face_index.max() + 1):
+        mine = face_index == index
+        normal = (mesh.face_normals[mine] * mesh.area_faces[mine, None]).sum(axis=0)
+        origin = mesh.triangles[mine].reshape(-1, 3).mean(axis=0)
+        known = bool(plane[mine].all())
+        faces.append(
+            {"type": "plane", "origin": origin.tolist(), "normal": normal.tolist()} if known else None
+        )
+    np.savez(
+        out,
+        triangles=np.asarray(mesh.triangles),
+        face_index=face_index.astype(np.int64),
+        part_T_solid=np.tile(np.eye(4), (len(faces), 1, 1)),
+        faces=np.array(json.dumps(faces)),
+    )
+    return 0
+
+
+def _regions(mesh: trimesh.Trimesh, most_rad: float, among: np.ndarray) -> np.ndarray:
+    """Number of the region of each triangle: neighbours that turn by less than an angle are in one."""
+    near = (mesh.face_adjacency_angles < most_rad) & among[mesh.face_adjacency].all(axis=1)
+    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency[near], node_count=len(mesh.faces))
+    return np.asarray(labels)
+
+
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2])))
+    source, target = Path(sys.argv[1]), Path(sys.argv[2])
+    sys.exit(main_mesh(source, target, float(sys.argv[3])) if len(sys.argv) > 3 else main(source, target))
