@@ -11,7 +11,7 @@ import numpy as np
 from controller.cellfile import Cell
 from controller.samples import Sample
 from estimation.belief import Belief
-from estimation.cad import CadFace, face_at, read_step_faces
+from estimation.cad import CadFace, face_at, read_faces
 from estimation.measurement import Observations
 from estimation.surfaces import Feature, bar_features, cylinder, plane, plate_features, sphere_features
 from estimation.transform import FloatArray
@@ -118,22 +118,26 @@ def cache_dir() -> Path:
 
 
 @lru_cache(maxsize=8)
-def _faces(cad: Path, modified_ns: int) -> tuple[CadFace, ...]:
-    return read_step_faces(cad, cache_dir=cache_dir())
+def _faces(cad: Path, unit_m: float, modified_ns: int) -> tuple[CadFace, ...]:
+    return read_faces(cad, cache_dir(), unit_m)
 
 
 @lru_cache(maxsize=8)
 def _named_faces(
-    cad: Path, modified_ns: int, points: tuple[tuple[str, tuple[float, ...]], ...]
+    faces: tuple[CadFace, ...], points: tuple[tuple[str, tuple[float, ...]], ...]
 ) -> dict[str, CadFace]:
-    faces = _faces(cad, modified_ns)
     return {name: face_at(faces, np.array(at_m)) for name, at_m in points}
+
+
+def all_faces(cell: Cell) -> tuple[CadFace, ...]:
+    """Every face of the part, named or not; the same tuple while the file stays. Raises CellFileError."""
+    return _faces(cell.cad_path, cell.part.cad_unit_m, cell.cad_path.stat().st_mtime_ns)
 
 
 def part_faces(cell: Cell) -> dict[str, CadFace]:
     """The CAD face of each named feature. Raises CellFileError, EstimationError."""
     points = tuple((feature.name, feature.at_m) for feature in cell.part.features)
-    return _named_faces(cell.cad_path, cell.cad_path.stat().st_mtime_ns, points)
+    return _named_faces(all_faces(cell), points)
 
 
 def part_features(cell: Cell) -> tuple[Feature, ...]:

@@ -17,13 +17,12 @@ from matplotlib.colors import to_rgb
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from controller.cellfile import Cell, HandEyePhase, load_cell
-from controller.knowledge import cache_dir, first_belief, with_plate
+from controller.knowledge import all_faces, first_belief, with_plate
 from controller.planning import Plan, plan_hand_eye
 from controller.planning.candidates import plate_candidates
 from controller.planning.estimated import hand_eye_points
 from controller.planning.plan import gated_predictions
 from controller.planning.workspace import Workspace, observations_of
-from estimation.cad import read_step_faces
 from estimation.solver import predicted_belief
 from estimation.transform import FloatArray
 
@@ -113,7 +112,7 @@ def standing(scene: Scene, cell: Cell) -> None:
     scene.tube(np.array([*ball[:2], 0.0]), ball, 0.006, STAND)
     scene.ball(ball, cell.sphere.radius_m, STEEL)
     part = cell.part.transform()
-    faces = read_step_faces(cell.cad_path, cache_dir=cache_dir())
+    faces = all_faces(cell)
     for face in faces:
         scene.add(part.points(face.triangles.reshape(-1, 3)).reshape(-1, 3, 3), PART)
     points = np.concatenate([face.bounds_m for face in faces])

@@ -85,24 +85,20 @@ class CadMesh:
     face_index: IntArray  # (m,) the CadFace.index of each triangle
 
 
-def read_faces(path: Path, cache_dir: Path | None = None, unit_m: float = 1e-3) -> tuple[CadFace, ...]:
+def read_faces(path: Path, cache_dir: Path | None = None, unit_m: float | None = None) -> tuple[CadFace, ...]:
     """All faces of the part; the same file always gives the same order and `index`.
 
-    A STEP file says its unit itself; an STL or PLY mesh is in `unit_m`, and must be closed. Of a mesh, flat
-    regions are planes; the rest is free form, one face for each smooth region.
+    A STEP file says its unit itself; a mesh (STL, PLY) is in `unit_m` and must be closed. Flat regions of a
+    mesh are planes; the rest is free form, one face for each smooth region.
 
-    Raises CellFileError for a file that is missing, broken, open, without faces, or larger than 5 m.
+    Raises CellFileError for a file that is missing, broken, open, of unknown unit, without faces, or larger
+    than 5 m.
     """
-    mesh = path.suffix.lower() in MESH_SUFFIXES
-    return _read(path, cache_dir, str(unit_m) if mesh else None)
-
-
-def read_step_faces(path: Path, cache_dir: Path | None = None) -> tuple[CadFace, ...]:
-    """All faces of a STEP part; raises like `read_faces`."""
-    return _read(path, cache_dir, None)
-
-
-def _read(path: Path, cache_dir: Path | None, mesh_unit: str | None) -> tuple[CadFace, ...]:
+    mesh_unit = None
+    if path.suffix.lower() in MESH_SUFFIXES:
+        if unit_m is None:
+            raise CellFileError(f"The mesh {path} names no unit of length", "Say in which unit it is")
+        mesh_unit = repr(unit_m)
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -130,8 +126,8 @@ def _read(path: Path, cache_dir: Path | None, mesh_unit: str | None) -> tuple[Ca
 
 
 def read_mesh(path: Path, cache_dir: Path | None = None) -> CadMesh:
-    """The mesh of the part; raises like `read_step_faces`."""
-    return mesh_of(read_step_faces(path, cache_dir))
+    """The mesh of a STEP part; raises like `read_faces`."""
+    return mesh_of(read_faces(path, cache_dir))
 
 
 def mesh_of(faces: tuple[CadFace, ...]) -> CadMesh:
@@ -240,7 +236,7 @@ def _import(path: Path, content: bytes, out: Path, mesh_unit: str | None) -> Non
         )
     if done.returncode == OPEN_MESH:
         raise CellFileError(
-            f"The mesh {path} is open: {int(done.stderr.split()[-1])} edges belong to one triangle only",
+            f"The mesh {path} is open: {int(done.stderr.split()[-1])} edges do not belong to two triangles",
             "Close it in a mesh editor, or export the solid as STEP",
         )
     if done.returncode != 0 or not out.exists():

@@ -56,14 +56,14 @@ def main(step: Path, out: Path) -> int:
 
 def main_mesh(path: Path, out: Path, unit_m: float) -> int:
     """STL or PLY: flat regions are planes, the smooth rest is one face for each connected region."""
-    mesh = trimesh.load(path, force="mesh", process=True)
+    mesh = trimesh.load_mesh(path)
     mesh = trimesh.Trimesh(np.asarray(mesh.vertices) * unit_m, mesh.faces)
     mesh.merge_vertices()
     if not len(mesh.faces):
         return 1
     uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
-    if (uses == 1).any():
-        print(int((uses == 1).sum()), file=sys.stderr)
+    if (uses % 2).any():
+        print(int((uses % 2).sum()), file=sys.stderr)
         return OPEN_MESH
     if mesh.volume < 0.0:
         mesh.invert()
@@ -94,7 +94,9 @@ def main_mesh(path: Path, out: Path, unit_m: float) -> int:
 def _regions(mesh: trimesh.Trimesh, most_rad: float, among: np.ndarray) -> np.ndarray:
     """Number of the region of each triangle: neighbours that turn by less than an angle are in one."""
     near = (mesh.face_adjacency_angles < most_rad) & among[mesh.face_adjacency].all(axis=1)
-    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency[near], node_count=len(mesh.faces))
+    labels: np.ndarray = trimesh.graph.connected_component_labels(  # type: ignore[no-untyped-call]
+        mesh.face_adjacency[near], node_count=len(mesh.faces)
+    )
     return np.asarray(labels)
 
 

@@ -21,10 +21,10 @@ LEAST_SPREAD: Final = 0.1  # smallest singular value of the normals: below it a 
 
 def check_geometry(cell: Cell) -> list[Mistake]:
     """Compare a cell file that is in order by itself with its CAD file; reads the CAD file."""
-    from estimation.cad import read_step_faces
+    from estimation.cad import read_faces
 
     try:
-        all_faces = read_step_faces(cell.cad_path, cell.cache_dir)
+        all_faces = read_faces(cell.cad_path, cell.cache_dir, cell.part.cad_unit_m)
     except CellFileError as error:
         return [cell.mistake_at(("part", "cad"), _in_a_row(error.problem), _in_a_row(error.remedy))]
     faces, findings = _named_faces(cell, all_faces)

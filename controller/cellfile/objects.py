@@ -2,12 +2,14 @@
 
 from datetime import date
 from math import radians
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field
 
 from controller.cellfile.tables import Name, Placement, Table, Text
 from controller.quantities import Angle, Length
+
+UNITS_M: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 
 PartCoordinate = Annotated[Length, Field(ge=-10, le=10)]
 
@@ -135,9 +137,9 @@ class Part(Placement):
     name: Name
     """Name of the part."""
     cad: Text
-    """STEP file, relative to this file."""
+    """STEP file, or a closed mesh (STL, PLY), relative to this file."""
     cad_unit: Literal["mm", "cm", "m", "in"]
-    """Unit of the CAD file, compared with what the file says."""
+    """Unit of the CAD file: compared with what a STEP file says; that of a mesh, which says nothing."""
     position_limit_m: Length = Field(gt=0, le=1)
     """Farthest that the part may lie from its nominal place."""
     rotation_limit_rad: Angle = Field(gt=0, le=radians(45))
@@ -146,6 +148,11 @@ class Part(Placement):
     """Faces that are measured."""
     characteristics: tuple[Characteristic, ...] = ()
     """What is inspected."""
+
+    @property
+    def cad_unit_m(self) -> float:
+        """The unit of the CAD file, metres."""
+        return UNITS_M[self.cad_unit]
 
     def feature(self, name: str) -> PartFeature:
         """The feature of this name, which a loaded cell file is known to have."""

@@ -9,16 +9,16 @@ from controller.cellfile.devices import Probe
 from controller.cellfile.job import Job
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import nearest
-from controller.cellfile.objects import Diameter, Part, Position, Sphere
+from controller.cellfile.objects import UNITS_M, Diameter, Part, Position, Sphere
 from controller.quantities import format_angle, format_length
 
 Finding = tuple[KeyPath, str, str]
 
-UNITS_M: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-
 
 def cad_file(part: Part, directory: Path) -> Iterator[Finding]:
-    """The CAD file is there, and its unit is the declared one."""
+    """The CAD file is there, and its unit is the declared one; a mesh has none."""
+    from estimation.cad import MESH_SUFFIXES, declared_unit_m
+
     path = directory / part.cad
     try:
         content = path.read_bytes()
@@ -27,11 +27,15 @@ def cad_file(part: Part, directory: Path) -> Iterator[Finding]:
         remedy = nearest(part.cad, others) if others else f"put it into {directory}"
         yield ("part", "cad"), f"cannot be read ({error.strerror})", remedy
         return
-    if not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
-        yield ("part", "cad"), "not a STEP file", "export the part as STEP (AP203, AP214 or AP242)"
+    if path.suffix.lower() in MESH_SUFFIXES:
         return
-    from estimation.cad import declared_unit_m
-
+    if not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
+        yield (
+            ("part", "cad"),
+            "not a STEP file",
+            "export the part as STEP (AP203, AP214 or AP242), STL or PLY",
+        )
+        return
     unit_m = declared_unit_m(content)
     if unit_m is None:
         yield ("part", "cad"), "the file names no unit of length", "export the part again"

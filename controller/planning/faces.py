@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from controller.cellfile import Cell
 from controller.cellfile.devices import Laser
-from controller.knowledge import cache_dir, part_faces
+from controller.knowledge import all_faces, part_faces
 from controller.planning.poses import BoolArray
-from estimation.cad import CadFace, read_step_faces
+from estimation.cad import CadFace
 from estimation.errors import EstimationError
 from estimation.transform import FloatArray
 
@@ -81,7 +80,7 @@ class Met:
 def beams_meet(cell: Cell, part_o: FloatArray, part_beam: FloatArray, names: list[str]) -> Met:
     """Rays from points (m, 3) along unit vectors (m, 3), in the frame of the part, against all its faces."""
     named = part_faces(cell)
-    corners, face_index = _mesh(cell.cad_path, next(iter(named.values())))
+    corners, face_index = _mesh(all_faces(cell))
     wanted = np.array([named[name].index for name in names])
     first, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
@@ -120,8 +119,7 @@ def _sampler(name: str, face: CadFace) -> FaceSampler:
 
 
 @lru_cache(maxsize=8)
-def _mesh(path: Path, any_face: CadFace) -> tuple[FloatArray, FloatArray]:
+def _mesh(faces: tuple[CadFace, ...]) -> tuple[FloatArray, FloatArray]:
     """Triangles (t, 3, 3) of all faces, and the face index (t,) of each."""
-    faces = read_step_faces(path, cache_dir())
     indices = np.repeat([face.index for face in faces], [len(face.triangles) for face in faces])
     return np.concatenate([face.triangles for face in faces]), indices

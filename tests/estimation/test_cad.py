@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from estimation import cad
 from estimation.errors import CellFileError, EstimationError
@@ -23,7 +24,7 @@ def cache_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def faces(cache_dir: Path) -> tuple[cad.CadFace, ...]:
-    return cad.read_step_faces(BLOCK, cache_dir)
+    return cad.read_faces(BLOCK, cache_dir)
 
 
 def at(faces: tuple[cad.CadFace, ...], *point_mm: float) -> cad.CadFace:
@@ -108,7 +109,7 @@ def test_mesh_is_closed_and_has_the_volume_of_the_part(cache_dir: Path) -> None:
 
 def test_every_kind_of_surface_in_a_turned_assembly(cache_dir: Path) -> None:
     """data/make_features.py: (x, y, z) of the plate is (10 + x, 20 - z, 30 + y) here, in mm."""
-    faces = cad.read_step_faces(FEATURES, cache_dir)
+    faces = cad.read_faces(FEATURES, cache_dir)
 
     def expect(kind: str, point_mm: tuple[float, ...], outward: bool) -> cad.CadFace:
         (face,) = [
@@ -157,7 +158,7 @@ def test_cache_gives_the_same_without_the_kernel(
         raise AssertionError("the kernel was started")
 
     monkeypatch.setattr(subprocess, "run", no_import)
-    again = cad.read_step_faces(BLOCK, cache_dir)
+    again = cad.read_faces(BLOCK, cache_dir)
     assert [str(face) for face in again] == [str(face) for face in faces]
     for one, other in zip(faces, again, strict=True):
         assert (one.index, one.kind, one.radius_m, one.outward) == (
@@ -173,7 +174,7 @@ def test_cache_gives_the_same_without_the_kernel(
 def test_damaged_cache_is_read_anew(faces: tuple[cad.CadFace, ...], tmp_path: Path, cache_dir: Path) -> None:
     for kept in cache_dir.glob("*.npz"):
         (tmp_path / kept.name).write_bytes(kept.read_bytes()[:1000])
-    assert len(cad.read_step_faces(BLOCK, tmp_path)) == len(faces)
+    assert len(cad.read_faces(BLOCK, tmp_path)) == len(faces)
     mended = [
         kept for kept in tmp_path.iterdir() if kept.read_bytes() == (cache_dir / kept.name).read_bytes()
     ]
@@ -188,7 +189,7 @@ def test_millimetres_exported_as_metres_are_refused_before_import(
     monkeypatch.setattr(cad, "_import", lambda *args: pytest.fail("imported"))
     (tmp_path / "metres.step").write_text(text)
     with pytest.raises(CellFileError, match=r"measures 150 m, more than the 5 m .* mistake of the unit"):
-        cad.read_step_faces(tmp_path / "metres.step")
+        cad.read_faces(tmp_path / "metres.step")
 
 
 def test_inches_are_converted(tmp_path: Path) -> None:
@@ -204,7 +205,7 @@ def test_inches_are_converted(tmp_path: Path) -> None:
     )
     (tmp_path / "inch.step").write_text(text.replace(unit[0], inch))
     assert cad._unit_m((tmp_path / "inch.step").read_bytes()) == pytest.approx(0.0254)
-    faces = cad.read_step_faces(tmp_path / "inch.step")
+    faces = cad.read_faces(tmp_path / "inch.step")
     assert sorted(face.radius_m for face in faces)[-1] == pytest.approx(15 * 0.0254, abs=1e-9)
 
 
@@ -223,15 +224,75 @@ def test_inches_are_converted(tmp_path: Path) -> None:
 def test_broken_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:
     (tmp_path / "part.step").write_bytes(content)
     with pytest.raises(CellFileError, match=problem):
-        cad.read_step_faces(tmp_path / "part.step")
+        cad.read_faces(tmp_path / "part.step")
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(CellFileError, match=r"nowhere\.step cannot be read: No such file"):
-        cad.read_step_faces(tmp_path / "nowhere.step")
+        cad.read_faces(tmp_path / "nowhere.step")
 
 
 def test_endless_import_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cad, "IMPORT_TIMEOUT_S", 0.05)
     with pytest.raises(CellFileError, match=r"not read within 0\.05 s"):
-        cad.read_step_faces(BLOCK)
+        cad.read_faces(BLOCK)
+
+
+def block_as_mesh(tmp_path: Path, cache_dir: Path, suffix: str) -> Path:
+    """The block of the example cell as a mesh in millimetres, exported by trimesh."""
+    mesh = cad.read_mesh(BLOCK, cache_dir)
+    path = tmp_path / f"block{suffix}"
+    trimesh.Trimesh(mesh.vertices_m / MM, mesh.triangles, process=False).export(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_a_mesh_has_the_planes_of_the_step_file(
+    faces: tuple[cad.CadFace, ...], tmp_path: Path, cache_dir: Path, suffix: str
+) -> None:
+    found = cad.read_faces(block_as_mesh(tmp_path, cache_dir, suffix), unit_m=MM)
+    assert sorted(face.kind for face in found) == ["other"] * 3 + ["plane"] * 8
+    for face in faces:
+        if face.kind == "plane":
+            sides = face.triangles[:, 1:] - face.triangles[:, :1]
+            largest = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).argmax()
+            same = cad.face_at(found, face.triangles[largest].mean(axis=0))
+            np.testing.assert_allclose(same.axis, face.axis, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose(same.bounds_m, face.bounds_m, rtol=0.0, atol=1e-6)
+            assert abs((same.point_m - face.point_m) @ face.axis) < 1e-7  # corners are in single precision
+
+
+def test_a_mesh_is_measured_in_the_unit_that_is_said(tmp_path: Path, cache_dir: Path) -> None:
+    path = block_as_mesh(tmp_path, cache_dir, ".stl")
+    inches = cad.read_faces(path, unit_m=0.0254)
+    assert max(face.bounds_m[1, 1] for face in inches) == pytest.approx(150 * 0.0254, rel=1e-6)
+    with pytest.raises(CellFileError, match="names no unit of length"):
+        cad.read_faces(path)
+    with pytest.raises(CellFileError, match=r"measures 150 m, more than the 5 m .* mistake of the unit"):
+        cad.read_faces(path, unit_m=1.0)
+
+
+def test_an_inverted_mesh_is_turned_inside_in(tmp_path: Path, cache_dir: Path) -> None:
+    mesh = trimesh.load(block_as_mesh(tmp_path, cache_dir, ".stl"))
+    mesh.invert()
+    mesh.export(tmp_path / "inverted.stl")
+    top = cad.face_at(cad.read_faces(tmp_path / "inverted.stl", unit_m=MM), np.array([15, 100, 100]) * MM)
+    np.testing.assert_allclose(top.axis, (0, 0, 1), rtol=0.0, atol=1e-6)
+
+
+def test_an_open_mesh_is_refused(tmp_path: Path, cache_dir: Path) -> None:
+    mesh = trimesh.load(block_as_mesh(tmp_path, cache_dir, ".stl"))
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    mesh.export(tmp_path / "open.stl")
+    with pytest.raises(CellFileError, match=r"open\.stl is open: 3 edges do not belong to two triangles"):
+        cad.read_faces(tmp_path / "open.stl", unit_m=MM)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"solid block\nfacet normal 0 0 1\n", b"\x00" * 84, b"ISO-10303-21;"]
+)
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_broken_meshes_are_refused(tmp_path: Path, content: bytes, suffix: str) -> None:
+    (tmp_path / f"part{suffix}").write_bytes(content)
+    with pytest.raises(CellFileError, match="damaged or holds no faces"):
+        cad.read_faces(tmp_path / f"part{suffix}", unit_m=MM)
