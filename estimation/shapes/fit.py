@@ -1,0 +1,219 @@
+"""Least-squares surfaces from points alone: no start is needed, and what is not determined is refused."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from estimation.shapes.checks import (
+    checked_points,
+    checked_sigma,
+    flags_of,
+    refuse_other_surface,
+    refuse_undetermined,
+)
+from estimation.shapes.cone import Cone
+from estimation.shapes.cylinder import Cylinder
+from estimation.shapes.optimum import Optimum, minima, minimise
+from estimation.shapes.passes import NO_WEIGHTS
+from estimation.shapes.plane import Plane
+from estimation.shapes.refusals import Cause, FitRefused
+from estimation.shapes.result import SurfaceFit
+from estimation.shapes.shape import Shape
+from estimation.shapes.sphere import Sphere
+from estimation.shapes.torus import Torus
+from estimation.transform import FloatArray
+
+KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphere, Cylinder, Cone, Torus)}
+_SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
+_HUBER: Final = 1.345  # standard deviations: 95 % as efficient as least squares on honest data
+_ROBUST_ROUNDS: Final = 50
+_FALSE_ALARMS: Final = 0.01  # of the outlier gate, over all points together
+_LARGEST_REJECTED: Final = 0.10
+_SCALE_OF_MEDIAN: Final = 1.4826  # standard deviation over median absolute deviation, normal distribution
+
+
+def fit_surface(
+    kind: str, points_m: FloatArray, sigma_m: float | FloatArray | None = None, robust: bool = False
+) -> SurfaceFit:
+    """Surface of least (weighted) squared orthogonal distances.
+
+    Parameters
+    ----------
+    kind : "plane", "sphere", "cylinder", "cone" or "torus".
+    points_m : (n, 3), metres.
+    sigma_m : standard deviation along the normal, for all points or (n,); None: from the residuals.
+    robust : Huber's loss first, then a gate for outliers (1 % false alarms over all points), then least
+        squares of the others; at most 10 % of the points may be left out.
+
+    Raises
+    ------
+    FitRefused : the points do not determine this surface, or lie on another one; its `cause` says why.
+
+    Notes
+    -----
+    Covariance to first order, (J^T W J)^-1 at the minimum.
+    """
+    points = checked_points(points_m, KINDS[kind], sigma_known=sigma_m is not None)
+    sigma = checked_sigma(sigma_m, len(points))
+    weights = NO_WEIGHTS if sigma is None or sigma.ndim == 0 else 1.0 / sigma
+    best, ratio = _global_minimum(KINDS[kind], points, weights, sigma)
+    if robust:
+        best, weights = _without_outliers(best, points, weights, sigma)
+    return _result(best, points, weights, sigma, ratio)
+
+
+def _global_minimum(
+    kind: type[Shape], points: FloatArray, weights: FloatArray, sigma: FloatArray | None
+) -> tuple[Optimum, float]:
+    """The lowest minimum for all points, and the cost of the next one over its cost."""
+    count = len(points)
+    places = _spread(count)
+    found = minima(kind, points[places], weights[places] if len(weights) else NO_WEIGHTS)
+    if not found:
+        raise FitRefused(
+            Cause.NO_CONVERGENCE, f"No {kind.KIND} was found near the points", "Name another surface"
+        )
+    best = _refined(found[0].shape, points, weights)
+    if not best.converged:
+        raise FitRefused(
+            Cause.NO_CONVERGENCE,
+            f"The fit of a {kind.KIND} did not settle in {best.iterations} iterations",
+            "Name another surface, or measure a larger piece of this one",
+        )
+    if len(found) == 1:
+        return best, np.inf
+    if len(places) == count and (len(weights) or sigma is not None):
+        gap = (found[1].cost - found[0].cost) / (1.0 if len(weights) else float(sigma) ** 2)  # type: ignore[arg-type]
+        if gap < 9.0:
+            raise FitRefused(
+                Cause.AMBIGUOUS,
+                f"Two different surfaces of kind {kind.KIND} fit the points equally well",
+                "Measure a larger piece of the surface",
+            )
+    floor = (1e-12 * _size(points)) ** 2 * len(places)
+    return best, float(found[1].cost / max(found[0].cost, floor))
+
+
+def _refined(start: Shape, points: FloatArray, weights: FloatArray) -> Optimum:
+    centroid = points.mean(axis=0)
+    found = minimise(start.settled(centroid), points, weights, _size(points))
+    return Optimum(
+        found.shape.settled(centroid),
+        found.information,
+        found.cost,
+        found.initial_cost,
+        found.iterations,
+        found.stop_reason,
+        found.converged,
+    )
+
+
+def _spread(count: int) -> NDArray[np.intp]:
+    """Places of a sample of at most `_SAMPLE` points, even but in step with no regular scan."""
+    if count <= _SAMPLE:
+        return np.arange(count)
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    return np.unique((np.arange(_SAMPLE) * golden % 1.0 * count).astype(np.intp))
+
+
+def _size(points: FloatArray) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)) / 2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scatter:
+    """Standard deviation of each point, given or from the median of the residuals."""
+
+    sigma: FloatArray | None
+
+    def of(self, residual: FloatArray) -> FloatArray:
+        if self.sigma is not None:
+            return np.broadcast_to(self.sigma, residual.shape)
+        middle = _SCALE_OF_MEDIAN * float(np.median(np.abs(residual)))
+        return np.full(len(residual), max(middle, np.finfo(np.float64).tiny))
+
+
+def _without_outliers(
+    start: Optimum, points: FloatArray, weights: FloatArray, sigma: FloatArray | None
+) -> tuple[Optimum, FloatArray]:
+    """Least squares of the points that pass the gate; the weight of the others is 0."""
+    scatter = _Scatter(sigma)
+    best = start
+    for _ in range(_ROBUST_ROUNDS):
+        residual = best.shape.distance(points)
+        scaled = np.abs(residual) / scatter.of(residual)
+        soft = np.sqrt(_HUBER / np.maximum(scaled, _HUBER)) * (weights if len(weights) else 1.0)
+        after = minimise(best.shape, points, soft, _size(points), tolerance=1e-9)
+        moved = np.max(np.abs(after.shape.distance(points) - residual))
+        best = after
+        if moved < 1e-3 * float(np.median(scatter.of(residual))):
+            break
+    limit = -ndtri(_FALSE_ALARMS / (2.0 * len(points)))
+    full = weights if len(weights) else np.ones(len(points))
+    kept = np.zeros(len(points), dtype=bool)
+    for _ in range(_ROBUST_ROUNDS):
+        residual = best.shape.distance(points)
+        passing = np.abs(residual) <= limit * scatter.of(residual)
+        if np.count_nonzero(~passing) > _LARGEST_REJECTED * len(points):
+            raise FitRefused(
+                Cause.OUTLIERS,
+                f"{np.count_nonzero(~passing)} of {len(points)} points lie off the surface, more than 10 %",
+                "Separate the surfaces in the file, or name the right one",
+            )
+        if np.array_equal(passing, kept):
+            break
+        kept = passing
+        best = _refined(best.shape, points, np.where(kept, full, 0.0))
+    if kept.all() and not len(weights):
+        return _refined(best.shape, points, NO_WEIGHTS), NO_WEIGHTS
+    return best, np.where(kept, full, 0.0)
+
+
+def _result(
+    best: Optimum, points: FloatArray, weights: FloatArray, sigma: FloatArray | None, ratio: float
+) -> SurfaceFit:
+    shape = best.shape
+    used = weights > 0.0 if len(weights) else np.ones(len(points), dtype=bool)
+    count = int(np.count_nonzero(used))
+    redundancy = count - len(shape.FREEDOMS)
+    residual = shape.distance(points)
+    square = float(residual[used] @ residual[used])
+    scalar = sigma is None or sigma.ndim == 0
+    if sigma is None:
+        sigma_m: float | None = float(np.sqrt(square / redundancy))
+        factor, dof = None, float(redundancy)
+    else:
+        sigma_m = float(sigma) if scalar else None
+        weighted = square / float(sigma) ** 2 if scalar else best.cost
+        factor, dof = (weighted / redundancy if redundancy else None), np.inf
+    refuse_undetermined(shape, best.information, sigma_m if scalar else 1.0, _size(points))
+    refuse_other_surface(shape, float(np.sqrt(square / count)), _size(points))
+    frame, jacobian = shape.reported()
+    variance = sigma_m**2 if scalar and sigma_m is not None else 1.0
+    covariance = variance * (jacobian @ np.linalg.inv(best.information) @ jacobian.T)
+    fit = SurfaceFit(
+        shape=shape,
+        frame=frame,
+        parameter_names=shape.freedoms,
+        covariance=(covariance + covariance.T) / 2.0,
+        sigma_m=sigma_m,
+        dof=dof,
+        redundancy=redundancy,
+        rms_m=float(np.sqrt(square / count)),
+        variance_factor=factor,
+        points=count,
+        rejected=np.flatnonzero(~used),
+        flags=(),
+        iterations=best.iterations,
+        initial_cost=best.initial_cost,
+        cost=best.cost,
+        stop_reason=best.stop_reason,
+        alternative_ratio=ratio,
+        _points_m=points,
+        _weights=weights,
+        _information=best.information,
+    )
+    return flags_of(fit)
