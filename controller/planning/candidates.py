@@ -94,11 +94,15 @@ def mount_offset_m(workspace: Workspace) -> float:
 
 
 def occluded(
-    workspace: Workspace, candidates: Candidates, displacements: Sequence[FloatArray] = ()
+    workspace: Workspace,
+    candidates: Candidates,
+    displacements: Sequence[FloatArray] = (),
+    beside_m: float = 0.0,
 ) -> BoolArray:
     """Which candidates (m,) fail a ray check against the part: another face is met first, or none in range.
 
-    Each displacement (4, 4) is one part_T_displaced that must work as well as the believed place.
+    Each displacement (4, 4) is one part_T_displaced that must work as well as the believed place. So must
+    beams beside the planned one that meet its face up to `beside_m` away from it: they may not touch a boss.
     """
     laser, base_T_part = workspace.pose("laser"), workspace.pose("part")
     base_T_laser = workspace.actual_arm.flange_pose(candidates.joints_rad) @ laser.matrix
@@ -108,6 +112,11 @@ def occluded(
         part_T_laser = np.linalg.inv(base_T_part.matrix @ displacement) @ base_T_laser
         met = beams_meet(workspace.cell, part_T_laser[:, :3, 3], part_T_laser[:, :3, 2], names)
         failed |= ~(met.on_face & met.within(workspace.cell.laser))
+    part_T_laser = base_T_part.inverse().matrix @ base_T_laser
+    shift_m = beside_m * np.cos(workspace.cell.laser.max_incidence_rad)  # across the beam
+    for axis, side in ((0, shift_m), (0, -shift_m), (1, shift_m), (1, -shift_m)) if shift_m else ():
+        beside = part_T_laser[:, :3, 3] + side * part_T_laser[:, :3, axis]
+        failed |= ~beams_meet(workspace.cell, beside, part_T_laser[:, :3, 2], names).on_face
     return failed
 
 

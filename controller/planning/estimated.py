@@ -114,7 +114,9 @@ def plan_part_check(
     blocked = np.zeros(len(pool), dtype=np.bool_)
     for _ in range(_ROUNDS):
         chosen = _spread(pool, spec.points, used.reshape(-1, 3), ~blocked)
-        bad = occluded(workspace, pool.take(chosen)) | ~accessible(workspace, pool.take(chosen))
+        bad = occluded(workspace, pool.take(chosen), (), margin_m(workspace)) | ~accessible(
+            workspace, pool.take(chosen)
+        )
         if not bad.any():
             return Plan(named(laser_steps(workspace, pool.take(chosen), "check"), spec.name))
         blocked[np.array(chosen)[bad]] = True
@@ -154,7 +156,13 @@ def _localize(
     workspace = Workspace(cell, arm, belief)
     pool = part_candidates(workspace, spec.faces, seed + first, margin_m=margin_m(workspace))
     return _part_plan(
-        workspace, pool, count, spec.name, note, first, lambda chosen: occluded(workspace, chosen)
+        workspace,
+        pool,
+        count,
+        spec.name,
+        note,
+        first,
+        lambda chosen: occluded(workspace, chosen, (), margin_m(workspace)),
     )
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.knowledge import part_corners_m
 from controller.planning import Plan, Step, plan_hand_eye
-from controller.planning.candidates import plate_candidates
+from controller.planning.candidates import occluded, part_candidates, plate_candidates
 from controller.planning.estimated import hand_eye_points
 from controller.planning.steps import route
 from controller.planning.workspace import Workspace, observations_of
@@ -165,6 +165,23 @@ def test_localization_beams_meet_their_faces(planned: Planned) -> None:
             assert inside, step
             assert low < distance < high
             assert incidence < planned.cell.laser.max_incidence_rad
+
+
+def test_beams_that_graze_the_boss_are_not_taken(planned: Planned) -> None:
+    workspace = Workspace(planned.cell, planned.arm, belief_of(planned.plans["coarse"]))
+    pool = part_candidates(workspace, ["top"], SEED)
+    free = pool.take(~occluded(workspace, pool))
+    clear = ~occluded(workspace, free, beside_m=0.004)
+    laser, part_T_base = workspace.pose("laser").matrix, workspace.pose("part").inverse()
+    beams = workspace.actual_arm.flange_pose(free.joints_rad) @ laser
+
+    def met(beam: FloatArray) -> bool:
+        sides = (0.003 * beam[:3, 0], -0.003 * beam[:3, 0], 0.003 * beam[:3, 1], -0.003 * beam[:3, 1])
+        origins = [part_T_base.points(beam[:3, 3] + side) for side in sides]
+        return all(_meets_face(origin, part_T_base.vectors(beam[:3, 2]), "top")[0] for origin in origins)
+
+    assert all(met(beam) for beam in beams[clear])
+    assert 0 < np.sum(~clear) < np.sum(clear)
 
 
 def test_coarse_beams_meet_their_faces_wherever_the_part_may_lie(planned: Planned) -> None:
