@@ -7,10 +7,12 @@ first, takes what the store already has, and goes on where it ends. A restart is
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any
 
 from controller.acquisition import Acquisition
 from controller.cellfile import Cell
+from controller.cellfile.job import HandEyePhase, LocalizePhase
 from controller.cellfile.job import Phase as PhaseSpec
 from controller.faults import GateHeld, OutsideCause
 from controller.gates import worst
@@ -25,7 +27,7 @@ from controller.store import Result, Run, Store
 from drivers.capabilities import Devices
 from drivers.clock import Clock
 from estimation.belief import Belief
-from estimation.errors import DeviceError, StoreError
+from estimation.errors import CellFileError, DeviceError, StoreError
 from estimation.statistics import Outcome
 
 FIRST_MISSES = 3  # so many first points of a part without a target mean that there is no part
@@ -48,7 +50,15 @@ class CellJob:
     # What the engine calls
 
     def prepare(self) -> None:
-        """Raises GateHeld when a limit cannot be met: before a port is opened or anything moves."""
+        """Raises CellFileError when a certificate has expired, GateHeld when a limit cannot be met.
+
+        Before a port is opened or anything moves.
+        """
+        if expired := self._cell.expired(datetime.fromtimestamp(self._clock.utc_s(), UTC).date()):
+            raise CellFileError(
+                f"Not valid any more: {'; '.join(expired)}",
+                "Have it calibrated again and enter the new certificate",
+            )
         refuse_impossible_limits(self._cell)
 
     def begin(self) -> None:
@@ -71,12 +81,14 @@ class CellJob:
         belief = first_belief(self._cell)
         earlier: dict[str, PhaseRecord] = {}
         results = self._store.results(self.run.id)
+        renewed = False  # what rests on a result that was measured again must be measured again as well
         for index, spec in enumerate(self._cell.job.phases):
             context: PhaseContext[Any] = PhaseContext(
                 self._cell, spec, self._arm, belief, earlier, self._seed
             )
             stored = [result for result in results if result.phase == spec.name]
-            if stored and (stored[-1].verdict == Outcome.OK or spec.kind == "inspect"):
+            renewed = renewed or self._has_expired(spec, stored)
+            if stored and not renewed and (stored[-1].verdict == Outcome.OK or spec.kind == "inspect"):
                 attempt, last = stored[-1].attempt, stored[-1]
                 estimate = last.result["estimate"]
                 belief = Belief.from_dict(last.belief) if last.belief is not None else belief
@@ -164,6 +176,18 @@ class CellJob:
                     break
             steps = self._extend(index, spec, attempt, steps, further)
         return finding
+
+    def _has_expired(self, spec: PhaseSpec, results: Sequence[Result]) -> bool:
+        """The last result is older than the cell file lets it be; noted in the audit trail."""
+        if not results or not isinstance(spec, HandEyePhase | LocalizePhase):
+            return False
+        age_s = self._clock.utc_s() - results[-1].utc_s
+        if age_s <= spec.expires_s:
+            return False
+        old_h, held_h = age_s / 3600.0, spec.expires_s / 3600.0
+        again = "measured again, with all that rests on it"
+        self.record("expired", f"{spec.name} is {old_h:.2f} h old, it held {held_h:.2f} h: {again}")
+        return True
 
     def _next_attempt(self, results: Sequence[Result]) -> int:
         """A new one after each result, but the same again when somebody marked its samples since."""

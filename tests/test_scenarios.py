@@ -112,6 +112,37 @@ def test_a_limit_that_cannot_be_met_is_refused_before_any_motion(
     assert cell.world.clock.now_s() == 0.0
 
 
+def test_an_expired_certificate_is_refused_before_any_motion(
+    tmp_path: Path, make: list[DeterministicCell]
+) -> None:
+    expired = (
+        'certificate = "BAR-0417"\ncertified = 2026-03-02\nvalid_to = 2028-03-01',
+        'certificate = "BAR-0417"\ncertified = 2025-03-02\nvalid_to = 2026-03-01',
+    )
+    make.append(cell := DeterministicCell(1, cell_path=edited_cell(tmp_path / "cell", expired)))
+    assert cell.run() is State.HELD
+    fault = cell.engine.status()["fault"]
+    assert "BAR-0417 of the bar held until 2026-03-01" in fault["text"]
+    assert "calibrated again" in fault["remedy"]
+    assert cell.motion_frames() == 0
+
+
+@pytest.mark.parametrize(("expires", "attempts"), [("30 days", 1), ("30 s", 2)])
+def test_an_expired_hand_eye_is_measured_again_and_all_that_rests_on_it(
+    expires: str, attempts: int, tmp_path: Path, make: list[DeterministicCell]
+) -> None:
+    edit = ('expires = "30 days"', f'expires = "{expires}"')
+    make.append(cell := DeterministicCell(1, cell_path=edited_cell(tmp_path / "cell", edit)))
+    _once(cell, "part check", "acquiring", 3, lambda: cell.engine.submit(Command.HOLD, "test"))
+    assert cell.run() is State.HELD
+    assert cell.command(Command.UNHOLD) is State.COMPLETED
+    assert cell.results()["noise"].attempt == 1
+    assert [cell.results()[phase].attempt for phase in ("hand-eye", "hand-eye check", "localize")] == (
+        [attempts] * 3
+    )
+    assert any(event.kind == "expired" for event in cell.store.events()) is (attempts == 2)
+
+
 def test_the_same_seed_gives_the_same_record(make: list[DeterministicCell]) -> None:
     """Everything that the store holds of two runs, event by event."""
     records = []

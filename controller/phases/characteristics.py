@@ -11,6 +11,7 @@ from controller.cellfile.objects import Characteristic, Diameter, Position
 from controller.knowledge import observations, part_features
 from controller.samples import Sample
 from estimation.belief import Belief
+from estimation.flatness import flatness
 from estimation.kinematics import ArmModel
 from estimation.measurement import Chain
 from estimation.solver import predict
@@ -116,23 +117,13 @@ def _position(cell: Cell, belief: Belief, feature: Feature, datums: Sequence[str
     return Measured(2.0 * float(np.linalg.norm(deviation)), 2.0 * u_m, "least squares, touched datums")
 
 
-def flatness(cell: Cell, arm: ArmModel, belief: Belief, touches: Sequence[Sample]) -> Measured:
-    """Range of the touches about their least-squares plane; u from the full covariance before the fit."""
+def measured_flatness(cell: Cell, arm: ArmModel, belief: Belief, touches: Sequence[Sample]) -> Measured:
+    """Flatness of the face that was touched; `belief` has not used these touches."""
     prediction = predict(belief, Chain(arm, observations(cell, touches)))
     face = next(feature for feature in part_features(cell) if feature.name == touches[0].feature)
-    local = _positions(cell, arm, belief, touches)
-    u, v = _in_plane(np.asarray(face.axis))
-    design = np.column_stack([np.ones(len(local)), local @ u, local @ v])
-    remaining = np.eye(len(local)) - design @ np.linalg.pinv(design)
-    residual = remaining @ prediction.residual_m
-    covariance = remaining @ prediction.covariance @ remaining.T
-    high, low = int(np.argmax(residual)), int(np.argmin(residual))
-    variance = covariance[high, high] + covariance[low, low] - 2.0 * covariance[high, low]
-    return Measured(
-        float(residual[high] - residual[low]),
-        float(np.sqrt(max(variance, 0.0))),
-        "least-squares plane",
-    )
+    places = _positions(cell, arm, belief, touches) @ np.column_stack(_in_plane(np.asarray(face.axis)))
+    estimate = flatness(places, prediction.residual_m, prediction.covariance)
+    return Measured(estimate.value_m, estimate.u_m, "least-squares plane, form apart from noise")
 
 
 def _positions(cell: Cell, arm: ArmModel, belief: Belief, touches: Sequence[Sample]) -> FloatArray:

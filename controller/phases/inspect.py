@@ -12,7 +12,7 @@ from controller.gates import Proof, Verdict, worst
 from controller.knowledge import observations, part_features, with_inspected, with_probe
 from controller.phases import findings
 from controller.phases.base import Finding, OnePlan, PhaseContext, good
-from controller.phases.characteristics import decision, flatness, measured, table_row
+from controller.phases.characteristics import decision, measured, measured_flatness, table_row
 from controller.planning import more_inspect, plan_inspect
 from controller.planning.steps import Step
 from controller.samples import Sample
@@ -57,7 +57,7 @@ class InspectPhase(OnePlan):
         for item in cell.part.characteristics:
             own = [touch for touch in touches if touch.object == "part" and touch.feature == item.feature]
             found = (
-                flatness(cell, context.arm, qualified.belief, own)
+                measured_flatness(cell, context.arm, qualified.belief, own)
                 if isinstance(item, Flatness)
                 else measured(cell, item, fit.belief)
             )
