@@ -116,14 +116,19 @@ class CanopenSlave(ABC):
         self._advance(time_s)
         return self._output.popleft() if self._output and self._output[0].time_s <= time_s else None
 
-    def next_frame(self, until_s: float) -> Frame | None:
-        """The next frame that is on the bus by then, if any; everything before it has happened."""
+    def next_frames(self, until_s: float) -> list[Frame]:
+        """The frames that come together next, if that is by then; everything before has happened."""
         while not self._output or self._output[0].time_s > self._next_event_s():
             due_s = self._next_event_s()
             if due_s > until_s:
                 break
             self._advance(due_s)
-        return self._output.popleft() if self._output and self._output[0].time_s <= until_s else None
+        if not self._output or self._output[0].time_s > until_s:
+            return []
+        first, frames = self._output[0].time_s, list[Frame]()
+        while self._output and self._output[0].time_s <= first:
+            frames.append(self._output.popleft())
+        return frames
 
     def _emit(self, time_s: float, can_id: int, data: bytes) -> None:
         time_s += DONGLE_S

@@ -50,11 +50,12 @@ class Bus:
 
     def timed(self, duration_s: float) -> Iterator[tuple[str, float]]:
         end_s = self.time_s + duration_s
-        while (frame := self.device.next_frame(end_s)) is not None:
-            yield (
-                f"{frame.can_id:03X} [{len(frame.data)}] {frame.data.hex(' ').upper()}".strip(),
-                frame.time_s,
-            )
+        while frames := self.device.next_frames(end_s):
+            for frame in frames:
+                yield (
+                    f"{frame.can_id:03X} [{len(frame.data)}] {frame.data.hex(' ').upper()}".strip(),
+                    frame.time_s,
+                )
         self.time_s = end_s
 
     def sdo(self, request: str) -> str:
