@@ -1,10 +1,12 @@
 """`truecell plan`: every phase of the job as it would be planned, without a device and without motion."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
 from math import degrees
-from pathlib import Path
 from typing import Any
 
-from controller.cellfile import Cell, CheckPhase, HandEyePhase, LocalizePhase, NoisePhase, load_cell
+from controller.cellfile import Cell, CheckPhase, HandEyePhase, LocalizePhase, NoisePhase
 from controller.knowledge import first_belief, with_bar, with_inspected, with_part, with_plate, with_probe
 from controller.planning import (
     Plan,
@@ -17,42 +19,83 @@ from controller.planning import (
     plan_noise,
     plan_part_check,
 )
-from controller.planning.feasibility import feasibility
+from controller.planning.duration import duration_s
+from controller.planning.feasibility import Reachable, feasibility
 from estimation.belief import Belief
+from estimation.errors import CellFileError
 from estimation.kinematics import ArmModel
 
-SECONDS_A_STEP = {"laser": 1.8, "noise": 2.5, "touch": 3.0}  # mean of simulated jobs, moves included
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedPhase:
+    """One phase as it would be planned, with what is known before anything moves."""
+
+    name: str
+    limit_m: float | None
+    plan: Plan
+    reachable: Reachable | None  # with all measurements that the phase may take
+    duration_s: float
+
+    @property
+    def needed(self) -> int | None:
+        """The fewest chosen measurements that meet the limit; None without limit, or if all do not."""
+        curve = enumerate(self.plan.curve_U_m)
+        return next((count for count, U_m in curve if self.limit_m is not None and U_m <= self.limit_m), None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For export; lengths in metres, angles in radians."""
+        return {
+            "phase": self.name,
+            "limit_m": self.limit_m,
+            "best_reachable_U_m": None if self.reachable is None else self.reachable.best.U_m,
+            "needed": self.needed,
+            "duration_s": round(self.duration_s, 1),
+            **self.plan.to_dict(),
+        }
 
 
-def plan_job(cell_path: Path) -> list[dict[str, Any]]:
-    """One row for each phase: steps by kind, predicted U against the limit, dominating source, time.
+def plan_job(cell: Cell, phase: str | None = None) -> tuple[PlannedPhase, ...]:
+    """Every phase, or the one of a name, as it would be planned.
 
     Poses of later phases follow from what earlier ones will find; here all is where the cell file says.
+
+    Raises CellFileError for a phase that the job has not, CellError for what cannot be measured.
     """
-    cell = load_cell(cell_path)
+    names = [spec.name for spec in cell.job.phases]
+    if phase is not None and phase not in names:
+        near = get_close_matches(phase, names, n=1, cutoff=0.0)
+        raise CellFileError(f"The job of {cell.name} has no phase {phase!r}", f"The nearest is {near[0]!r}")
     reachable = {item.phase: item for item in feasibility(cell)}
-    rows = []
-    for name, limit_m, plan in _plans(cell):
-        best = reachable.get(name)
-        seconds = sum(SECONDS_A_STEP.get(step.kind, 2.0) for step in plan.steps)
+    return tuple(
+        PlannedPhase(name, limit_m, plan, reachable.get(name), duration_s(cell, plan.steps))
+        for name, limit_m, plan in _plans(cell)
+        if phase in (None, name)
+    )
+
+
+def rows_of(phases: tuple[PlannedPhase, ...]) -> list[Mapping[str, Any]]:
+    """One row for each phase: steps by kind, predicted U against the limit, dominating source, time."""
+    rows: list[Mapping[str, Any]] = []
+    for phase in phases:
+        plan, best = phase.plan, phase.reachable
+        U_m = None if plan.worst is None or phase.limit_m is None else plan.worst.U_m
+        dominating = None if best is None else "{} {:.0%}".format(*best.best.dominating)
         rows.append(
             {
-                "phase": name,
+                "phase": phase.name,
                 "measures": ", ".join(f"{count} {what}" for what, count in _counts(plan.steps).items()),
-                "limit_mm": None if limit_m is None else f"{limit_m * 1e3:.2f}",
-                "U_mm": None if plan.worst is None or limit_m is None else f"{plan.worst.U_m * 1e3:.3f}",
-                "dominated_by": None
-                if best is None
-                else f"{best.best.dominating[0]} {best.best.dominating[1]:.0%}",
-                "about_s": f"{seconds:.0f}",
+                "limit_mm": None if phase.limit_m is None else f"{phase.limit_m * 1e3:.2f}",
+                "U_mm": None if U_m is None else f"{U_m * 1e3:.3f}",
+                "needs": phase.needed,
+                "dominated_by": dominating,
+                "about_s": f"{phase.duration_s:.0f}",
             }
         )
     return rows
 
 
-def list_steps(cell_path: Path) -> list[dict[str, Any]]:
+def step_rows(phases: tuple[PlannedPhase, ...]) -> list[Mapping[str, Any]]:
     """Every step of every phase, in order: what is measured where, from which joint angles."""
-    cell = load_cell(cell_path)
     return [
         {
             "step": step.id,
@@ -62,8 +105,8 @@ def list_steps(cell_path: Path) -> list[dict[str, Any]]:
             "expected_mm": f"{step.expected_m * 1e3:.1f}" if step.kind == "laser" else None,
             "note": step.note,
         }
-        for _, _, plan in _plans(cell)
-        for step in plan.steps
+        for phase in phases
+        for step in phase.plan.steps
     ]
 
 
@@ -99,7 +142,8 @@ def _plan(
         case LocalizePhase():
             coarse = plan_coarse_localize(cell, with_part(belief, cell), arm, spec, 0)
             plan = plan_localize(cell, coarse.belief or belief, arm, spec, 0)
-            return Plan((*coarse.steps, *plan.steps), plan.gated, plan.belief), plan.belief or belief
+            steps_of, curve_U_m = (*coarse.steps, *plan.steps), (*coarse.curve_U_m, *plan.curve_U_m[1:])
+            return Plan(steps_of, plan.gated, plan.belief, curve_U_m), plan.belief or belief
         case CheckPhase() if spec.points_per_sphere:
             return plan_bar_check(cell, with_bar(belief, cell), arm, spec, steps[spec.of], 0), belief
         case CheckPhase():

@@ -4,13 +4,14 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from controller.console import options
 from controller.console.exit_codes import ExitCode
 from controller.console.options import CellArgument, JsonOption, SocketOption, StateOption
+from controller.console.plan_files import write_plan
 from controller.console.verify import verify
 from controller.daemon.address import default_socket
 
@@ -68,29 +69,54 @@ def check(cell: CellArgument, as_json: JsonOption = False) -> None:
 
 def plan(
     cell: CellArgument,
+    phase: Annotated[
+        str | None, typer.Argument(metavar="[PHASE]", help="Show this phase only.", show_default=False)
+    ] = None,
     dry_run: Annotated[
         bool,
         typer.Option("--dry-run", help="List every step in order instead of a line for each phase."),
     ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            metavar="FOLDER",
+            help="Write plan.json, plan.html (3-D, needs no network) and, where the robot has a language "
+            "of its own, a program that drives through the poses.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the job would measure, phase by phase, with the predicted uncertainty U. Opens no device.
 
-    U is the expanded uncertainty (3-D, 95 %) at the worst gated point, in mm, and what dominates it when all
-    allowed measurements are taken. Poses of later phases follow from what earlier ones find: here everything
-    lies where the cell file says.
+    U is the expanded uncertainty (3-D, 95 %) at the worst gated point, in mm; "needs" is how many of the
+    measurements meet the limit already, and "dominated by" what is left when all allowed ones are taken.
+    Poses of later phases follow from what earlier ones find: here everything lies where the cell file says.
+    A limit that cannot be met is named on standard error, with exit code 2.
 
-    Example: truecell plan cells/bench-block --dry-run
+    Example: truecell plan cells/bench-block localize --output plan
     """
-    from controller.dry_run import list_steps, plan_job
+    from controller.cellfile import format_mistakes, load_cell
+    from controller.dry_run import plan_job, rows_of, step_rows
+    from controller.planning.feasibility import limit_mistakes
 
-    rows: list[dict[str, Any]] = list_steps(cell) if dry_run else plan_job(cell)
+    loaded = load_cell(cell)
+    phases = plan_job(loaded, phase)
+    written = [] if output is None else write_plan(output, loaded, phases)
+    rows = step_rows(phases) if dry_run else rows_of(phases)
     if as_json:
-        options.print_json({"steps" if dry_run else "phases": rows})
-        return
-    from controller.console import show
+        files = {} if output is None else {"written": [str(path) for path in written]}
+        options.print_json({"steps" if dry_run else "phases": rows, **files})
+    else:
+        from controller.console import show
 
-    show.console().print(show.table_of(rows))
+        show.console().print(show.table_of(rows))
+        for path in written:
+            typer.echo(f"Wrote {path}")
+    mistakes = limit_mistakes(loaded)
+    if mistakes:
+        typer.echo(format_mistakes(mistakes), err=True)
+        raise typer.Exit(ExitCode.BAD_INPUT)
 
 
 def simulate(context: typer.Context, cell: CellArgument) -> None:

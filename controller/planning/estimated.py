@@ -26,6 +26,7 @@ from estimation.errors import CellError, Unreachable
 from estimation.kinematics import ArmModel
 from estimation.measurement import Chain, Points, object_point_jacobian, point_jacobian
 from estimation.solver import predicted_belief
+from estimation.statistics import coverage_factor
 from estimation.transform import FloatArray, exp_pose
 
 COARSE_COUNT: Final = 10
@@ -137,10 +138,10 @@ def _hand_eye(
     workspace = Workspace(cell, arm, belief)
     pool = plate_candidates(workspace, seed + first)
     points, names = hand_eye_points(belief, ranges_m)
-    chosen = choose(workspace, pool, points.jacobian, count)
+    chosen, curve_U_m = choose(workspace, pool, points.jacobian, count)
     predicted = predicted_belief(belief, Chain(arm, [observations_of(workspace, chosen)]), name)
     steps = named(laser_steps(workspace, chosen, note), name, first)
-    return Plan(steps, gated_predictions(predicted, points, names), predicted)
+    return Plan(steps, gated_predictions(predicted, points, names), predicted, curve_U_m)
 
 
 def _localize(
@@ -177,11 +178,11 @@ def _part_plan(
     face_limit: int = 0,
 ) -> Plan:
     points, names = corner_points(workspace.cell, workspace.belief)
-    chosen = choose(workspace, pool, points.jacobian, count, blocked, face_limit)
+    chosen, curve_U_m = choose(workspace, pool, points.jacobian, count, blocked, face_limit)
     taken = [observations_of(workspace, chosen)]
     predicted = predicted_belief(workspace.belief, Chain(workspace.arm, taken), name)
     steps = named(laser_steps(workspace, chosen, note), name, first)
-    return Plan(steps, gated_predictions(predicted, points, names), predicted)
+    return Plan(steps, gated_predictions(predicted, points, names), predicted, curve_U_m)
 
 
 def choose(
@@ -191,8 +192,8 @@ def choose(
     count: int,
     blocked: Blocked | None = None,
     face_limit: int = 0,
-) -> Candidates:
-    """The best candidates that can be approached and are not blocked."""
+) -> tuple[Candidates, tuple[float, ...]]:
+    """The best candidates that can be approached and are not blocked, and `Plan.curve_U_m`."""
     for _ in range(_ROUNDS):
         if len(pool) < count:
             break
@@ -206,7 +207,7 @@ def choose(
         if blocked is not None:
             bad |= blocked(chosen)
         if not bad.any():
-            return chosen
+            return chosen, tuple((coverage_factor(3) * np.sqrt(selection.curve)).tolist())
         pool = pool.take(np.setdiff1d(np.arange(len(pool)), selection.chosen[bad]))
     raise _unreachable(f"{count} measurements of the {pool.object}")
 

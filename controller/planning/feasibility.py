@@ -142,7 +142,7 @@ def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase)
 
 def _best(workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str) -> Belief:
     gates: FloatArray = points.jacobian
-    chosen = choose(workspace, pool, gates, min(count, len(pool)))
+    chosen, _ = choose(workspace, pool, gates, min(count, len(pool)))
     return predicted_belief(
         workspace.belief, Chain(workspace.arm, [observations_of(workspace, chosen)]), phase
     )

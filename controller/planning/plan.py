@@ -31,11 +31,16 @@ class GatedPrediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Steps in order; `belief` is the predicted one, None where nothing is estimated."""
+    """Steps in order; `belief` is the predicted one, None where nothing is estimated.
+
+    `curve_U_m` is the U of the worst gated point after 0, 1, 2 ... measurements in the order of choice, which
+    is not that of the steps.
+    """
 
     steps: tuple[Step, ...]
     gated: tuple[GatedPrediction, ...] = ()
     belief: Belief | None = None
+    curve_U_m: tuple[float, ...] = ()
 
     @property
     def worst(self) -> GatedPrediction | None:
@@ -49,6 +54,7 @@ class Plan:
             "gated": [
                 {"point": point.name, "U_m": point.U_m, "budget": dict(point.shares)} for point in self.gated
             ],
+            "curve_U_m": list(self.curve_U_m),
         }
 
 
