@@ -50,7 +50,7 @@ def verify(
     over replicas of its own plan, with every error drawn from what the cell file declares, until the figures
     settle; errors that it does not declare are not in them. Exit code 5 if more is claimed than is kept.
 
-    Examples: truecell verify --cells 5000; truecell verify cells/bench-block
+    Example: truecell verify --cells 5000, or truecell verify cells/bench-block
     """
     from controller.verify.executor import open_executor
 
