@@ -10,6 +10,7 @@ import typer
 
 from controller.console import options
 from controller.console.exit_codes import ExitCode
+from controller.console.fit import fit
 from controller.console.options import CellArgument, JsonOption, SocketOption, StateOption
 from controller.console.plan_files import write_plan
 from controller.console.verify import verify
@@ -165,5 +166,5 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands above."""
     app.command()(demo)
     app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(simulate)
-    for command in (check, plan, serve, verify):
+    for command in (check, plan, serve, verify, fit):
         app.command()(command)

@@ -70,7 +70,7 @@ def _global_minimum(
 ) -> tuple[Optimum, float]:
     """The lowest minimum for all points, and the cost of the next one over its cost."""
     count = len(points)
-    places = _spread(count)
+    places = spread(count)
     found = minima(kind, points[places], weights[places] if len(weights) else NO_WEIGHTS)
     if not found:
         raise FitRefused(
@@ -111,7 +111,7 @@ def _refined(start: Shape, points: FloatArray, weights: FloatArray) -> Optimum:
     )
 
 
-def _spread(count: int) -> NDArray[np.intp]:
+def spread(count: int) -> NDArray[np.intp]:
     """Places of a sample of at most `_SAMPLE` points, even but in step with no regular scan."""
     if count <= _SAMPLE:
         return np.arange(count)

@@ -1,0 +1,1 @@
+"""Work on people's own files, without a robot."""
