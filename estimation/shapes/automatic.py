@@ -30,7 +30,7 @@ def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = F
 
     Arguments as of `fit_surface`. Raises FitRefused where no kind fits, or where two kinds fit equally well.
     """
-    points = checked_points(points_m, Plane, sigma_known=False)
+    points = checked_points(points_m, Plane, sigma_known=False).points_m
     sample = points[spread(len(points))]
     count = len(sample)
     floor = _FLOOR * float(np.ptp(sample, axis=0).max())

@@ -1,6 +1,6 @@
 """What points must fulfil before and after a fit, and one sentence for each way in which they do not."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,14 +16,23 @@ _FLAT: Final = 1e-7  # third over first, of points in one plane
 _SINGULAR: Final = 1e-14  # least eigenvalue of the scaled information that rounding leaves meaningful
 _LARGEST_TILT_RAD: Final = 0.1  # standard deviations beyond these: the linear covariance means nothing
 _LARGEST_SHARE: Final = 0.2  # of a radius
-_LARGEST_RMS: Final = 0.05  # of half the extent: no measurement of this surface is so rough
+_LARGEST_RMS: Final = 0.05  # of the size: no measurement of this surface is so rough
 _FEW: Final = 10_000  # points up to which duplicates are counted
 _UNLIKELY: Final = 1e-3
 _AMBIGUOUS_RATIO: Final = 10.0
 
 
-def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -> FloatArray:
-    """The points as (n, 3) float64.
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Points (n, 3) that may be fitted, their centroid, and their root-mean-square distance from it."""
+
+    points_m: FloatArray
+    centroid_m: FloatArray
+    size_m: float
+
+
+def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -> Points:
+    """The points as float64.
 
     Raises FitRefused: wrong shape, not finite, too few, duplicated, on a line, or flat.
     """
@@ -41,7 +50,8 @@ def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -
             f"A {kind.KIND} with its uncertainty needs {needed} points, there are {len(points)}",
             "Measure more" if sigma_known else "Measure more, or state their standard deviation",
         )
-    if not np.isfinite(points.sum()) and not np.isfinite(points).all():
+    sums = moments(points, points[0])  # one pass for all that follows: finite, centroid, spread
+    if not np.isfinite(sums).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise FitRefused(
             Cause.NOT_FINITE,
@@ -54,8 +64,10 @@ def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -
             f"Only {distinct} of {len(points)} points are distinct, a {kind.KIND} needs {needed}",
             "Measure at different places",
         )
-    centre = points.mean(axis=0)
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(moments(points, centre)[:3, :3] / len(points)), 0.0))
+    mean = sums[:3, 3] / len(points)
+    centre = points[0] + mean
+    variances = np.linalg.eigvalsh(sums[:3, :3] / len(points) - np.outer(mean, mean))
+    spread = np.sqrt(np.maximum(variances, 0.0))
     # A sum of squares has lost half of the digits: what is small is measured again along its own direction.
     if spread[0] < 1e-5 * spread[2]:
         spread = np.linalg.svd(points - centre, compute_uv=False)[::-1] / np.sqrt(len(points))
@@ -69,7 +81,7 @@ def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -
             f"All points lie in one plane, which leaves a {kind.KIND} open",
             "Measure at other heights too, or fit a plane",
         )
-    return points
+    return Points(points, centre, float(np.linalg.norm(spread)))
 
 
 def checked_sigma(sigma_m: float | FloatArray | None, count: int) -> FloatArray | None:
@@ -136,7 +148,7 @@ def refuse_other_surface(shape: Shape, rms_m: float, size_m: float) -> None:
     if rms_m > _LARGEST_RMS * size_m:
         raise FitRefused(
             Cause.WRONG_SURFACE,
-            f"The points lie {rms_m * 1e3:.3g} mm (rms) off the best {shape.KIND}, over 5 % of their extent",
+            f"The points lie {rms_m * 1e3:.3g} mm (rms) off the best {shape.KIND}, over 5 % of their size",
             "Name another surface, or separate the surfaces in the file",
         )
 

@@ -13,11 +13,13 @@ from estimation.transform import FloatArray
 _LARGEST_ITERATIONS: Final = 300
 _FLOOR: Final = 1e-13  # of the cost: a smaller decrease cannot be told from rounding
 _ROUNDING: Final = 1e-16
-_TOLERANCE: Final = 1e-14  # last step, in sizes of the data and radians
+FINEST: Final = 1e-14  # last step, in sizes of the data and radians
 _COARSE: Final = 1e-6
 _COARSE_ITERATIONS: Final = 30  # a start that takes longer is a bad one
 _LARGEST_DAMPING: Final = 1e12
-_POLISHED_STARTS: Final = 12
+_TRIED_STARTS: Final = 12
+_TRIAL_ITERATIONS: Final = 6
+_POLISHED_STARTS: Final = 4
 _FEW_POINTS: Final = 60  # for which any start may be the only good one
 _AGREEING: Final = 3
 _EXACT: Final = 1e-24  # mean square of a perfect fit, in squares of the size
@@ -42,7 +44,7 @@ def minimise(
     points_m: FloatArray,
     weights: FloatArray = NO_WEIGHTS,
     size_m: float = 1.0,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = FINEST,
     largest_iterations: int = _LARGEST_ITERATIONS,
 ) -> Optimum:
     """Minimum near a start.
@@ -108,7 +110,7 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
     unit = np.ascontiguousarray(centred / size)
     found: list[Optimum] = []
     for start in best_starts(kind.starts(unit), unit, weights):
-        each = minimise(start.settled(np.zeros(3)), unit, weights, 1.0, _COARSE, _COARSE_ITERATIONS)
+        each = minimise(start, unit, weights, 1.0, _COARSE, _COARSE_ITERATIONS)
         if np.isfinite(each.cost):
             found.append(each)
         lowest = min((other.cost for other in found), default=np.inf)
@@ -128,7 +130,17 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
 
 
 def best_starts(starts: Sequence[Shape], points: FloatArray, weights: FloatArray) -> list[Shape]:
-    """The starts of least cost."""
-    costs = [products(start, points, weights)[-1, -1] for start in starts]
+    """The starts of least cost; of many points, those of least cost after a few steps from them."""
+    settled = [start.settled(np.zeros(3)) for start in starts]
+    ordered = _by_cost(settled, [float(products(each, points, weights)[-1, -1]) for each in settled])
+    if len(points) <= _FEW_POINTS or len(ordered) <= _POLISHED_STARTS:
+        return ordered
+    tried = [
+        minimise(each, points, weights, 1.0, _COARSE, _TRIAL_ITERATIONS) for each in ordered[:_TRIED_STARTS]
+    ]
+    return _by_cost([each.shape for each in tried], [each.cost for each in tried])[:_POLISHED_STARTS]
+
+
+def _by_cost(shapes: Sequence[Shape], costs: Sequence[float]) -> list[Shape]:
     order = np.argsort(np.nan_to_num(costs, nan=np.inf), kind="stable")
-    return [starts[i] for i in order[: _POLISHED_STARTS if len(points) > _FEW_POINTS else None]]
+    return [shapes[i] for i in order]
