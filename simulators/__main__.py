@@ -1,38 +1,104 @@
-"""`python -m simulators CELLDIR`: the devices of a simulated cell, in real time, on real ports."""
+"""`python -m simulators`: the devices of a cell, or one device alone, in real time on real ports."""
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
 from estimation.errors import CellError
-from simulators.cell import CellModel
-from simulators.serve import CellServer
+
+EXAMPLES = """
+  truecell simulate cells/bench-block --seed 7 --motion-speed 20
+  truecell simulate --device optoncdt-1420 --port /tmp/laser --fault late:0.3@5s --fault corrupt%2
+  truecell simulate --device adam-6052 --port 5502 --set channel=3
+  truecell simulate --list
+"""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Serve until told to end. Prints "ready" once every port is open."""
-    parser = argparse.ArgumentParser(prog="python -m simulators", description=main.__doc__)
-    parser.add_argument("cell_dir", type=Path, help="directory with a world.toml")
-    parser.add_argument("--run-dir", type=Path, help="where ports, truth.json and control go; CELLDIR/run")
-    parser.add_argument("--seed", type=int, default=1, help="of everything that is drawn")
-    parser.add_argument("--motion-speed", type=float, default=1.0, help="divides the time of fast moves")
-    parser.add_argument("--scenario", default="honest", help="of world.toml")
-    parser.add_argument("--probe-port", type=int, help="TCP port of the probe, 0 for any; that of world.toml")
-    options = parser.parse_args(arguments)
-    run_dir = options.run_dir or options.cell_dir / "run"
+    options = _parser().parse_args(arguments)
     try:
-        model = CellModel(
-            options.cell_dir,
-            options.seed,
-            options.scenario,
-            motion_speed=options.motion_speed,
-            cache_dir=run_dir / "cache",
-        )
-        CellServer(model, run_dir, options.probe_port).run()
+        if options.list:
+            from simulators.alone import list_devices
+
+            print(list_devices())
+        elif options.device is not None:
+            _serve_device(options)
+        else:
+            _serve_cell(options)
     except (CellError, OSError) as error:
         print(f"simulators: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="truecell simulate",
+        description=main.__doc__,
+        epilog=f"examples:{EXAMPLES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("cell", type=Path, nargs="?", help="the cell file, or its folder with a world.toml")
+    what.add_argument("--device", metavar="NAME", help="one device alone")
+    what.add_argument("--list", action="store_true", help="show all devices, their settings and all faults")
+    parser.add_argument("--seed", type=int, default=1, help="of everything that is drawn")
+    cell = parser.add_argument_group("a cell")
+    cell.add_argument(
+        "--run-dir", type=Path, help="where ports, truth.json and control go; run in the folder of the cell"
+    )
+    cell.add_argument("--motion-speed", type=float, default=1.0, help="divides the time of fast moves")
+    cell.add_argument("--scenario", default="honest", help="of world.toml")
+    cell.add_argument("--probe-port", type=int, help="TCP port of the probe, 0 for any; that of world.toml")
+    alone = parser.add_argument_group("one device")
+    alone.add_argument(
+        "--port",
+        action="append",
+        default=[],
+        help="path of the serial port or slcan dongle, or TCP port (SOCKET=PORT where there are several)",
+    )
+    alone.add_argument("--host", default="127.0.0.1", help="address to listen at")
+    alone.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting; see --list"
+    )
+    alone.add_argument("--fault", action="append", default=[], help="what goes wrong; see --list")
+    alone.add_argument("--faults", type=Path, metavar="FILE", help='TOML: faults = ["late:0.3@5s", ...]')
+    return parser
+
+
+def _serve_cell(options: argparse.Namespace) -> None:
+    from simulators.cell import CellModel
+    from simulators.serve import CellServer
+
+    cell_dir = options.cell if options.cell.is_dir() else options.cell.parent
+    run_dir = options.run_dir or cell_dir / "run"
+    model = CellModel(
+        cell_dir,
+        options.seed,
+        options.scenario,
+        motion_speed=options.motion_speed,
+        cache_dir=run_dir / "cache",
+    )
+    CellServer(model, run_dir, options.probe_port).run()
+
+
+def _serve_device(options: argparse.Namespace) -> None:
+    from simulators.alone import DeviceServer, read_ports, read_schedule, read_settings
+    from simulators.registry import device_kind
+
+    kind = device_kind(options.device)
+    schedule = read_schedule(options.fault, options.faults)
+    server = DeviceServer(
+        kind, read_settings(kind, options.set), read_ports(options.port), schedule, options.seed, options.host
+    )
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.loop.quit())
+    for socket, where in server.where.items():
+        print(f"{kind.name} {socket} at {where}".replace("  ", " "))
+    print("ready", flush=True)
+    server.loop.run()
 
 
 if __name__ == "__main__":

@@ -86,6 +86,10 @@ class WireFaults:
     def __bool__(self) -> bool:
         return bool(self._faults) or self._held is not None
 
+    def reseed(self, seed: int) -> None:
+        """Draw what follows from another seed."""
+        self._rng = np.random.default_rng(seed)
+
     def add(self, kind: str, value: float | None = None, **schedule: float | bytes) -> None:
         """One more fault; what `Fault` takes. Raises CellFileError for a kind that no wire has."""
         self.schedule(Fault(kind, value, **schedule))  # type: ignore[arg-type]

@@ -120,16 +120,22 @@ def plan(
         raise typer.Exit(ExitCode.BAD_INPUT)
 
 
-def simulate(context: typer.Context, cell: CellArgument) -> None:
-    """Run the simulated devices of a cell, until Ctrl-C. Prints "ready" once every port is open.
+def simulate(
+    arguments: Annotated[
+        list[str] | None, typer.Argument(help="A cell, or --device NAME, or --list; and options of those.")
+    ] = None,
+) -> None:
+    """Run the simulated devices of a cell, or one device, until Ctrl-C. Prints "ready" once it listens.
 
-    Options go to the simulators: --seed N draws another cell, --scenario NAME is one of world.toml,
-    --motion-speed FACTOR divides the time of free moves.
+    A cell takes --seed N (another cell), --scenario NAME of world.toml, and --motion-speed FACTOR, which
+    divides the time of free moves. A device alone takes --port, --set KEY=VALUE, --fault and --faults FILE;
+    --list shows all devices, their settings and all faults.
 
     Example: truecell simulate cells/bench-block --seed 7 --motion-speed 20
+
+    Example: truecell simulate --device optoncdt-1420 --port /tmp/laser --fault late:0.3@5s
     """
-    folder = cell if cell.is_dir() else cell.parent
-    command = [sys.executable, "-m", "simulators", str(folder), *context.args]
+    command = [sys.executable, "-m", "simulators", *(arguments or [])]
     os.execv(sys.executable, command)  # in place of this process, so that whoever ends one ends the other
 
 

@@ -3,12 +3,17 @@
 Framing and PDUs are pymodbus's; what the registers hold is from the manual's tables.
 """
 
+from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu import bit_message as bits
 from pymodbus.pdu import register_message as registers
+
+from simulators.device_kind import DeviceKind, Setting, Simulated
+from simulators.modbus_server import ModbusConnection
+from simulators.signals import Ticker
 
 INPUTS: Final = 8
 OUTPUTS: Final = range(16, 24)
@@ -124,3 +129,27 @@ class Adam6052:
             self._outputs = value & 0xFF
             return True
         return False
+
+
+def _alone(settings: Mapping[str, Setting], seed: int) -> Simulated:
+    """A module whose counting input closes again and again."""
+    module = Adam6052(
+        Ticker(float(settings["period_s"])),
+        int(str(settings["model"]), 16),
+        int(settings["channel"]),
+        float(settings["reply_delay_ms"]) / 1000,
+    )
+    return Simulated(
+        module, {"modbus": lambda: ModbusConnection(module)}, restart=lambda time_s: module.restart()
+    )
+
+
+KIND: Final = DeviceKind(
+    name="adam-6052",
+    what="Advantech remote input with a touch probe, Modbus TCP",
+    link="tcp",
+    make=_alone,
+    settings={"model": "6052", "channel": 0, "reply_delay_ms": 1.5, "period_s": 0.02},
+    other={"model": "6050"},
+    sockets={"modbus": 502},
+)
