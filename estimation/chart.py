@@ -62,8 +62,8 @@ class Chart:
                 values[block.name] = block.value + change
         return values, charts
 
-    def evaluate(self, z: FloatArray) -> Point:
-        """Rows at z, with their Jacobian by z. Raises EstimationError when they are not finite."""
+    def linear(self, z: FloatArray) -> tuple[Rows, FloatArray]:
+        """Rows at z, with their Jacobian (m, n) by r0. Raises EstimationError when they are not finite."""
         values, charts = self.at(z)
         rows = self.model.rows(values)
         dense = np.zeros((len(rows.residual_m), self.belief.size))
@@ -72,6 +72,11 @@ class Chart:
                 dense[:, self.belief.index(name)] = matrix @ charts[name] if name in charts else matrix
         if not np.isfinite(rows.residual_m).all() or not np.isfinite(dense).all():
             raise EstimationError("A residual is not a finite number", "Check joints, readings and priors")
+        return rows, dense
+
+    def evaluate(self, z: FloatArray) -> Point:
+        """Rows at z, with their Jacobian by z. Raises EstimationError when they are not finite."""
+        rows, dense = self.linear(z)
         return z, rows, dense @ self.root
 
 
@@ -105,7 +110,8 @@ def square_root(covariance: FloatArray) -> FloatArray:
         root = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:  # singular: something is known exactly
         values, vectors = np.linalg.eigh(correlation)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        # Symmetric, so that an unknown without covariance keeps a zero row and a zero column of its own.
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return scale[:, None] * root
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estimation.belief import Belief, Value
+from estimation.chart import prior_rows, square_root
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.model import Rows, pose_of, vector_of
 from estimation.solver import predict, predicted_belief, update
@@ -173,3 +174,14 @@ def test_a_point_is_rejected_as_a_whole() -> None:
     start = Belief().with_block("body", Transform("space", "body", np.eye(4)), std=np.inf)
     result = update(start, replace(points, seen_p=seen_p), robust="cauchy", reject_level=0.01)
     assert np.flatnonzero(result.rejected).tolist() == [21, 22, 23]
+
+
+def test_a_flat_block_may_come_after_blocks_with_a_prior() -> None:
+    belief = (
+        Belief().with_block("known", np.zeros(3), std=[1.0, 2.0, 3.0]).with_block("free", 0.0, std=np.inf)
+    )
+    root = square_root(belief.prior_covariance)
+    weight = prior_rows(belief, root)
+    assert weight.tolist() == [1, 1, 1, 0]
+    assert root @ np.diag(weight) @ root.T == pytest.approx(np.diag([1.0, 4.0, 9.0, 0.0]))
+    assert root[:3, 3] == pytest.approx(np.zeros(3)) and root[3] == pytest.approx([0, 0, 0, 1])
