@@ -35,9 +35,7 @@ def laser_points(count: int, seed: int, turning: bool = True) -> SurfacePoints:
     """Points that all carry one error of the hand-eye calibration, each seen from another side."""
     rng = np.random.default_rng(seed)
     object_p, index = points(count, rng)
-    turned = np.stack(
-        [exp_pose(np.append(np.zeros(3), turning * rng.normal(size=3)))[:3, :3] for _ in range(count)]
-    )
+    turned = Rotation.from_rotvec(turning * rng.normal(size=(count, 3))).as_matrix()
     sensor_p = np.column_stack([np.zeros(count), rng.uniform(-0.02, 0.02, count), np.full(count, 0.08)])
     error = hand_eye_error("hand-eye", HAND_EYE, turned, sensor_p)
     base_p = object_p - error.by_point @ np.linalg.cholesky(HAND_EYE) @ np.ones(6)
