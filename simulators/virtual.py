@@ -98,12 +98,15 @@ class VirtualCanLink(_VirtualLink):
         self._device.receive(can_id, data, self._check_plugged())
 
     def receive(self, timeout_s: float) -> Frame | None:
-        if not self._arrived:
+        arrived = self._arrived
+        if not arrived:
             until_s = min(self._check_plugged() + timeout_s, self.unplug_at_s)
-            self._arrived.extend(self._device.next_frames(until_s))
-            self._clock.advance_to(self._arrived[0].time_s if self._arrived else until_s)
+            arrived.extend(self._device.next_frames(until_s))
+            self._clock.advance_to(arrived[0].time_s if arrived else until_s)
             self._check_plugged()
-        return self._arrived.popleft() if self._arrived else None
+            if not arrived:
+                return None
+        return arrived.popleft()
 
     def reopen(self) -> None:
         super().reopen()
