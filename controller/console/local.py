@@ -97,11 +97,14 @@ def plan(
 
     Example: truecell plan cells/bench-block localize --output plan
     """
-    from controller.cellfile import format_mistakes, load_cell
+    from controller.cellfile import CellFileMistakes, format_mistakes, load_cell
     from controller.dry_run import plan_job, rows_of, step_rows
     from controller.planning.feasibility import limit_mistakes
 
     loaded = load_cell(cell)
+    mistakes = limit_mistakes(loaded)
+    if any("limit" not in mistake.key for mistake in mistakes):  # nothing to plan: an object is out of reach
+        raise CellFileMistakes(mistakes)
     phases = plan_job(loaded, phase)
     written = [] if output is None else write_plan(output, loaded, phases)
     rows = step_rows(phases) if dry_run else rows_of(phases)
@@ -114,7 +117,6 @@ def plan(
         show.console().print(show.table_of(rows))
         for path in written:
             typer.echo(f"Wrote {path}")
-    mistakes = limit_mistakes(loaded)
     if mistakes:
         typer.echo(format_mistakes(mistakes), err=True)
         raise typer.Exit(ExitCode.BAD_INPUT)

@@ -13,6 +13,7 @@ from controller.planning.estimated import COARSE_COUNT, choose, corner_points, h
 from controller.planning.plan import GatedPrediction, gated_predictions
 from controller.planning.workspace import Candidates, Workspace, observations_of
 from estimation.belief import Belief
+from estimation.errors import Unreachable
 from estimation.kinematics import ArmModel
 from estimation.measurement import Chain, Points
 from estimation.solver import predicted_belief
@@ -67,13 +68,24 @@ class Reachable:
         return f"raise the limit to {self.best.U_m * SLACK * 1e3:.2f} mm, or {cure}"
 
 
+class OutOfReach(Unreachable):
+    """No measurement of an object can be taken at all."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"The {name} is out of reach: no posture of the arm has the beam on it, in range and clear",
+            "Place it nearer to the middle of the arm's reach, or move what stands in the way",
+        )
+        self.object = name
+
+
 _answers: "OrderedDict[str, tuple[Reachable, ...]]" = OrderedDict()
 
 
 def feasibility(cell: Cell) -> tuple[Reachable, ...]:
     """The best of each phase with a limit, each building on what the one before is planned to reach.
 
-    Kept for cell files asked for before. Raises CellError when an object cannot be measured at all.
+    Kept for cell files asked for before. Raises OutOfReach when an object cannot be measured at all.
     """
     digest = cell.digest
     if digest not in _answers:
@@ -84,10 +96,15 @@ def feasibility(cell: Cell) -> tuple[Reachable, ...]:
 
 
 def limit_mistakes(cell: Cell) -> list[Mistake]:
-    """Limits that cannot be met, as mistakes of the cell file; for `check_cell`."""
+    """Limits that cannot be met and objects out of reach, as mistakes of the cell file; for `check_cell`."""
+    try:
+        found = feasibility(cell)
+    except OutOfReach as error:
+        problem, remedy = (text[:1].lower() + text[1:] for text in (error.problem, error.remedy))
+        return [cell.mistake_at((error.object, "xyz"), problem, remedy)]
     return [
         cell.mistake_at(("job", "phases", reachable.index, "limit"), reachable.problem, reachable.remedy)
-        for reachable in feasibility(cell)
+        for reachable in found
         if not reachable.met
     ]
 
@@ -141,6 +158,8 @@ def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase)
 
 
 def _best(workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str) -> Belief:
+    if not len(pool):
+        raise OutOfReach(pool.object)
     gates: FloatArray = points.jacobian
     chosen, _ = choose(workspace, pool, gates, min(count, len(pool)))
     return predicted_belief(
