@@ -13,12 +13,12 @@ from estimation.transform import FloatArray
 _POINTS: Final = 60  # of all that were measured: more would not tell more of where to begin
 _ROTATIONS: Final = 576
 _ROUNDS: Final = ((8, 150), (25, 40), (40, 40))  # steps, and how many poses are left for the next
-_SAME: Final = 1e-3  # of the size: two minima closer than this are one
+_SAME: Final = 5e-3  # of the size: two minima closer than this are one
 _SMALLEST_SIZE_M: Final = 0.05
 
 
 def search_features(
-    features: tuple[Feature, ...], index: NDArray[np.intp], base_p: FloatArray, count: int = 6
+    features: tuple[Feature, ...], index: NDArray[np.intp], base_p: FloatArray, count: int = 12
 ) -> tuple[FloatArray, FloatArray]:
     """Distinct poses of an object whose features some points lie on; no start is needed.
 
