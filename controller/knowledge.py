@@ -1,5 +1,6 @@
 """What the cell file says is known before anything was measured: blocks of the belief, surfaces, noise."""
 
+import math
 import os
 from collections.abc import Sequence
 from functools import lru_cache
@@ -86,9 +87,10 @@ def with_probe(belief: Belief, cell: Cell) -> Belief:
         freedoms=POINT_FREEDOMS,
         source="probe mount",
     )
-    belief = belief.with_block(
-        "probe.radius", probe.ball_radius_m, std=probe.ball_radius_u_m, source="probe ball"
-    )
+    # Joints that are late by as much in every touch look like a smaller ball, and are qualified with it.
+    late_m = probe.touch_speed_m_s * cell.robot.contact_delay_s
+    radius_u_m = math.hypot(probe.ball_radius_u_m, late_m / math.sqrt(12.0))
+    belief = belief.with_block("probe.radius", probe.ball_radius_m, std=radius_u_m, source="probe ball")
     belief = belief.with_block(
         "sphere", sphere.transform(), std=sphere.position_u_m, freedoms=POINT_FREEDOMS, source="sphere place"
     )
@@ -176,8 +178,11 @@ def part_corners_m(cell: Cell) -> FloatArray:
 
 def joint_variance(cell: Cell, readings: float) -> float:
     """Variance (rad^2) of a mean of `readings` joint readings: noise and the step of the encoder."""
-    robot = cell.robot
-    return (robot.joint_noise_rad**2 + robot.encoder_step_rad**2 / 12) / max(readings, 1)
+    robot, count = cell.robot, max(readings, 1)
+    step = robot.encoder_step_rad**2 / 12
+    if robot.coarse:  # the readings of one standstill share what the step takes
+        return robot.joint_noise_rad**2 / count + step
+    return (robot.joint_noise_rad**2 + step) / count
 
 
 def observations(cell: Cell, samples: Sequence[Sample]) -> list[Observations]:

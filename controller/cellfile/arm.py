@@ -85,6 +85,16 @@ class Arm(Table):
     joints: Annotated[tuple[Joint, ...], Field(min_length=6, max_length=6)]
     """Links from the base outwards."""
 
+    @property
+    def contact_delay_s(self) -> float:
+        """How late the joints of a contact may be, by as much in every touch."""
+        return 0.0
+
+    @property
+    def coarse(self) -> bool:
+        """The noise of a reading is too small to spread it over several steps: averaging cannot refine it."""
+        return self.joint_noise_rad < 0.5 * self.encoder_step_rad
+
     def free_parameters(self) -> tuple[tuple[int, str], ...]:
         """(joint index, parameter name) of the uncertain parameters, from the base outwards."""
         return tuple(

@@ -45,6 +45,11 @@ class MelfaRobot(Arm):
     stop_delay_s: Duration = Field(default=0.15, ge=0, le=5)
     """Longest time from the request to stop until the arm slows down; a touch is as uncertain."""
 
+    @property
+    def contact_delay_s(self) -> float:
+        """Joints of a contact are read when the arm has stopped."""
+        return self.stop_delay_s
+
 
 class MelfaTcpRobot(MelfaRobot):
     """A Mitsubishi MELFA controller on Ethernet, R-protocol."""
@@ -88,6 +93,11 @@ class IgusRobot(Arm):
     stop_delay_s: Duration = Field(default=0.1, ge=0, le=5)
     """Longest time from the request to stop until the arm slows down; a touch is as uncertain."""
 
+    @property
+    def contact_delay_s(self) -> float:
+        """Joints of a contact are read when the arm has stopped."""
+        return self.stop_delay_s
+
 
 class UrRobot(Arm):
     """A Universal Robots controller: RTDE for its state, URScript for motion; a stop waits for nothing."""
@@ -111,6 +121,11 @@ class UrRobot(Arm):
     stop_delay_s: Duration = Field(default=0.1, ge=0, le=5)
     """Longest time from the request to stop until the arm slows down."""
 
+    @property
+    def contact_delay_s(self) -> float:
+        """Joints of a contact lie between two data packages."""
+        return 1.0 / self.rate_hz
+
 
 class AbbRobot(Arm):
     """An ABB controller with the open_abb server; it cannot be stopped, so moves go in steps."""
@@ -133,6 +148,11 @@ class AbbRobot(Arm):
     """Decimals of degrees and millimetres in the replies of the server."""
     quaternion_decimals: int = Field(default=3, ge=2, le=6)
     """Decimals of its quaternions."""
+
+    @property
+    def contact_delay_s(self) -> float:
+        """A contact lies somewhere in the last step."""
+        return self.touch_step_s
 
 
 Robot = Annotated[

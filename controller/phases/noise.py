@@ -68,7 +68,9 @@ def _joint_proofs(context: PhaseContext[job.NoisePhase], samples: Sequence[Sampl
         return []
     scatter = np.array([sample.joint_scatter_rad for sample in samples])
     seen, dof = _pooled(scatter, np.array([sample.joint_readings for sample in samples], dtype=np.float64))
-    declared = np.sqrt(robot.joint_noise_rad**2 + robot.encoder_step_rad**2 / 12)
+    # A coarse reading of an arm on the edge between two steps flips by a whole step.
+    steps = robot.encoder_step_rad**2 / (4 if robot.coarse else 12)
+    declared = np.sqrt(robot.joint_noise_rad**2 + steps)
     limit = declared * _upper(dof, context.cell.job.test_level / len(seen))
     order = np.argsort(-seen)  # the noisiest first: a message names that joint
     return [

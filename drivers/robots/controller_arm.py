@@ -5,6 +5,7 @@ all of them is here: targets inside the limits, waiting until motion has really 
 """
 
 import contextlib
+import math
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ from estimation.transform import FloatArray
 
 TOUCH_WATCH_S: Final = 0.5  # between two looks at the controller while a probe is polled
 REST_TIMEOUT_S: Final = 5.0
+ELSEWHERE_S: Final = 0.5  # an arm that stands elsewhere for so long does so, whatever the noise of a reading
 NOISE_STEPS: Final = 1.5  # two readings of one place differ by noise and by one step of the reading
 
 
@@ -94,6 +96,7 @@ class _Move:
     started_s: float
     expected_s: float  # when it should have ended
     seen: bool = False  # the controller has said that it moves
+    elsewhere_s: float = math.inf  # since when it stands beside its target
 
 
 class ControllerArm:
@@ -279,7 +282,9 @@ class ControllerArm:
             if self._stands(first, second):
                 if self._is_at(move.target, second):
                     return move.seen or now >= move.started_s + config.start_gap_s
-                if move.seen or now >= move.started_s + config.move_margin_s:
+                move.elsewhere_s = min(move.elsewhere_s, now)
+                ended = move.seen or now >= move.started_s + config.move_margin_s
+                if ended and now >= move.elsewhere_s + ELSEWHERE_S:
                     raise self._not_at_target(second, move.target)
         if now > move.expected_s + config.move_margin_s:
             raise DeviceTimeout(

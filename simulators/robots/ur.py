@@ -97,7 +97,7 @@ class UrRobot(ControlledArm):
             time_s * (1.0 + settings.clock_drift) + settings.clock_ahead_s,
             joints,
             self.joints_at(time_s),
-            np.array(self.course(time_s)[0]),
+            lambda: self.course(time_s)[0],
             self.pose_of(joints) @ self._flange_T_tcp,
             self.state_at(time_s),
         )

@@ -1,5 +1,6 @@
 """What RTDE can tell of a robot: fields by name, with their type and how they follow from an instant."""
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -53,15 +54,32 @@ class Moment:
     timestamp_s: float  # of the controller's clock
     joints_rad: FloatArray  # (6,) as the encoders give them
     planned_rad: FloatArray  # (6,)
-    speeds_rad_s: FloatArray  # (6,)
+    speeds_rad_s: Callable[[], list[float]]  # (6,); seldom asked for
     base_T_tcp: FloatArray  # (4, 4) from the encoders
     state: UrState
 
     @property
     def pose(self) -> tuple[float, ...]:
         """Metres and rotation vector."""
-        turn = Rotation.from_matrix(self.base_T_tcp[:3, :3]).as_rotvec()
-        return (*self.base_T_tcp[:3, 3].tolist(), *turn.tolist())
+        rows = self.base_T_tcp.tolist()
+        return (rows[0][3], rows[1][3], rows[2][3], *_rotation_vector(rows))
+
+
+def _rotation_vector(rows: list[list[float]]) -> tuple[float, float, float]:
+    """Of a rotation matrix, by its quaternion; for every package, so without arrays."""
+    (xx, xy, xz, *_), (yx, yy, yz, *_), (zx, zy, zz, *_) = rows[:3]
+    # The largest of the four components is not near zero.
+    w, x, y, z = max(
+        (1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx),
+        (xz - zx, xy + yx, 1.0 - xx + yy - zz, yz + zy),
+        (yx - xy, xz + zx, yz + zy, 1.0 - xx - yy + zz),
+        key=lambda q: q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2,
+    )
+    sign = -1.0 if w < 0.0 else 1.0
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = sign * 2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 0.0
+    return x * scale, y * scale, z * scale
 
 
 Value = float | int | tuple[float, ...]
@@ -83,9 +101,9 @@ _ZEROS: Final = (0.0,) * 6
 FIELDS: Final[dict[str, Field]] = {
     "timestamp": ("DOUBLE", lambda m: m.timestamp_s),
     "target_q": ("VECTOR6D", lambda m: tuple(m.planned_rad)),
-    "target_qd": ("VECTOR6D", lambda m: tuple(m.speeds_rad_s)),
+    "target_qd": ("VECTOR6D", lambda m: tuple(m.speeds_rad_s())),
     "actual_q": ("VECTOR6D", lambda m: tuple(m.joints_rad)),
-    "actual_qd": ("VECTOR6D", lambda m: tuple(m.speeds_rad_s)),
+    "actual_qd": ("VECTOR6D", lambda m: tuple(m.speeds_rad_s())),
     "actual_TCP_pose": ("VECTOR6D", lambda m: m.pose),
     "target_TCP_pose": ("VECTOR6D", lambda m: m.pose),
     "robot_mode": ("INT32", lambda m: m.state.mode),
