@@ -1,0 +1,1 @@
+"""Calibration tasks: a Problem in, a frozen Result out, no guess required."""

@@ -1,0 +1,297 @@
+"""What the tasks have in common in which a sensor on or beside an arm sees points of an object."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimation.belief import POSE_FREEDOMS, Belief, Value
+from estimation.model import pose_of, values_of, vector_of
+from estimation.surfaces import Feature
+from estimation.tasks import checks, starts
+from estimation.tasks.chain import Markers, Readings, SensorChain, Surfaces
+from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.motion import UNIT_FACTORS, Motion
+from estimation.transform import FloatArray, Transform
+
+_MOST_FOR_A_START: Final = 200  # readings: a start needs no more, and its cost grows with them
+_ON_A_FACE: Final = 5.0  # standard deviations
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SensorTask:
+    """Estimates where the sensor is mounted and where the object is, from readings at many poses.
+
+    Attributes
+    ----------
+    motion : `Poses` or `Joints` of the arm.
+    mount, mount_std : prior of the mount (near_T_sensor, where near is "flange", or "base" of a sensor
+        that stands beside), std of each of its freedoms, m and rad; both or neither. Zeros hold it.
+    scale_std, offset_std_m : shared errors of the sensor; 0 leaves them out.
+    consider : names of shared errors that are carried and not updated.
+    """
+
+    motion: Motion
+    mount: Transform | None = None
+    mount_std: ArrayLike | None = None
+    scale_std: float = 0.0
+    offset_std_m: float = 0.0
+    consider: tuple[str, ...] = ()
+
+    task: ClassVar[str] = ""
+    sensor: ClassVar[str] = ""
+    object: ClassVar[str] = ""
+    beside: ClassVar[bool] = False
+    mount_freedoms: ClassVar[tuple[str, ...]] = POSE_FREEDOMS
+
+    def readings(self) -> Readings:
+        """The points in the frame of the sensor."""
+        raise NotImplementedError
+
+    def target(self) -> Surfaces | Markers:
+        """What they are points of."""
+        raise NotImplementedError
+
+    @property
+    def object_freedoms(self) -> tuple[str, ...]:
+        """Freedoms of the object's pose that matter."""
+        return POSE_FREEDOMS
+
+    def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
+        """The arrays as they were given, each with the shape that it must have; None for any length."""
+        raise NotImplementedError
+
+    def with_object_priors(self, belief: Belief) -> Belief:
+        """Adds what is known of the object: certificate, form."""
+        return belief
+
+    def candidates(
+        self, pose: FloatArray, readings: Readings, rows: NDArray[np.intp]
+    ) -> list[Mapping[str, Value]]:
+        """Starts (mount, object and what else is flat) from some rows, poses (k, 4, 4) from near to far."""
+        raise NotImplementedError
+
+    @property
+    def frames(self) -> tuple[str, str]:
+        """Frames at the near and the far end of the arm."""
+        return ("base", "flange") if self.beside else ("flange", "base")
+
+    def indices(self) -> Mapping[str, tuple[Any, int]]:
+        """Indices as they were given, each with the count that it must stay below."""
+        return {}
+
+    @property
+    def labels(self) -> NDArray[np.intp]:
+        """(m,) which surface or marker each reading is of."""
+        return self.target().index
+
+    def check(self) -> Sequence[Finding]:
+        """Everything wrong at sight; an empty list for sound data."""
+        return checks.first_of(
+            lambda: list(self.motion.check()),
+            lambda: checks.numbers(self.arrays()),
+            lambda: checks.indices(self.indices()),
+            self._check_noise,
+            lambda: checks.lengths(self._lengths()),
+            self._check_geometry,
+        )
+
+    def _lengths(self) -> dict[str, FloatArray]:
+        return {name: np.asarray(given) for name, (given, _) in self.arrays().items() if name.endswith("_m")}
+
+    def _check_noise(self) -> list[Finding]:
+        covariance = self.readings().covariance
+        return checks.deviations({"variance of readings": np.linalg.eigvalsh(covariance)})
+
+    def _check_geometry(self) -> list[Finding]:
+        belief, readings = self.belief(), self.readings()
+        unknowns, rows_each = int(belief.flat.sum()), self.model().group
+        keys = np.column_stack([self.motion.keys[readings.pose_index], readings.points_m, self.labels])
+        found = checks.repeated(keys, unknowns, rows_each)
+        found += checks.count(rows_each * len(readings.points_m), unknowns)
+        poses = self.motion.at(values_of(belief)).pose
+        if self.sensor in belief and belief.block(self.sensor).flat:
+            found += checks.orientations(poses)
+        return found + checks.positions(poses) + self.check_object()
+
+    def check_object(self) -> list[Finding]:
+        """What is wrong with the surfaces or markers that were measured."""
+        return []
+
+    def diagnose(self, values: Mapping[str, Value], rejected: NDArray[np.bool_] | None) -> Sequence[Finding]:
+        """Why data leave something open (None), or readings do not fit, seen from values that fit best."""
+        return []
+
+    def seen_points(self, values: Mapping[str, Value], sensor_p: FloatArray | None = None) -> FloatArray:
+        """(m, 3) the readings, or other points in the frame of the sensor, in the frame of the object, m."""
+        readings = self.readings()
+        points = readings.points_m if sensor_p is None else sensor_p
+        pose = self.motion.at(values).pose
+        pose = np.asarray(np.linalg.inv(pose) if self.beside else pose)[readings.pose_index]
+        near_p = pose_of(values, self.sensor).points(points)
+        far_p = np.einsum("mij,mj->mi", pose[:, :3, :3], near_p) + pose[:, :3, 3]
+        return pose_of(values, self.object).inverse().points(far_p)
+
+    def belief(self) -> Belief:
+        near, far = self.frames
+        belief = Belief()
+        pose = self.mount if self.mount is not None else Transform(near, self.sensor, np.eye(4))
+        std = np.inf if self.mount is None or self.mount_std is None else self.mount_std
+        belief = belief.with_block(self.sensor, pose, std=np.asarray(std), freedoms=self.mount_freedoms)
+        holder = Transform(far, self.object, np.eye(4))
+        belief = belief.with_block(self.object, holder, std=np.inf, freedoms=self.object_freedoms)
+        if self.scale_std:
+            belief = belief.with_block(f"{self.sensor}.scale", 0.0, std=self.scale_std)
+        if self.offset_std_m:
+            belief = belief.with_block(f"{self.sensor}.offset", 0.0, std=self.offset_std_m)
+        return self.model().with_priors(self.with_object_priors(belief))
+
+    def rough(self) -> Belief:
+        return self.belief().without([self.model().shared])
+
+    def model(self) -> SensorChain:
+        return SensorChain(
+            self.motion, self.readings(), self.target(), self.sensor, self.object, beside=self.beside
+        )
+
+    def starts(self) -> Sequence[Mapping[str, Value]]:
+        belief, readings = self.belief(), self.readings()
+        rows = np.arange(len(readings.points_m))
+        if len(rows) > _MOST_FOR_A_START:
+            rows = np.unique(np.linspace(0, len(rows) - 1, _MOST_FOR_A_START).astype(np.intp))
+        pose = self.motion.at(values_of(belief)).pose
+        if self.beside:
+            pose = np.asarray(np.linalg.inv(pose))
+        flat = {
+            block.name for block in belief.blocks if block.flat and len(block.flat) == len(block.freedoms)
+        }
+        found = self.candidates(pose[readings.pose_index[rows]], readings, rows)
+        return [{name: value for name, value in values.items() if name in flat} for values in found]
+
+    def settled(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """A frame that may spin about its z gets the x axis of a rule."""
+        poses = ((self.sensor, self.mount_freedoms), (self.object, self.object_freedoms))
+        spun = {
+            name: starts.spun(pose_of(values, name))
+            for name, freedoms in poses
+            if name in values and "rx" in freedoms and "rz" not in freedoms
+        }
+        return {**values, **spun}
+
+    def explanations(self) -> Sequence[tuple[Finding, "SensorTask"]]:
+        """Mistakes with motion, units and labels."""
+        found = [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]
+        lengths = self._lengths()
+        for factor, units in UNIT_FACTORS.items() if lengths else ():
+            finding = Finding(
+                Cause.WRONG_UNITS, f"The readings fit when divided by {factor:.4g}: {units}", "Give metres"
+            )
+            scaled: dict[str, Any] = {name: given / factor for name, given in lengths.items()}
+            found.append((finding, replace(self, **scaled)))
+        return found + self.relabelled()
+
+    def relabelled(self) -> list[tuple[Finding, "SensorTask"]]:
+        """The same with surfaces or markers named differently."""
+        return []
+
+    def mount_grid(self) -> FloatArray:
+        """Rotations of the sensor to try: the prior's alone when there is one."""
+        if self.mount is not None:
+            return self.mount.rotation[None]
+        return starts.rotations() if "rz" in self.mount_freedoms else starts.directions()
+
+    def poses(self, near_T_sensor: FloatArray, far_T_object: FloatArray) -> dict[str, Value]:
+        """The two pose blocks of a start."""
+        near, far = self.frames
+        return {
+            self.sensor: Transform(near, self.sensor, near_T_sensor),
+            self.object: Transform(far, self.object, far_T_object),
+        }
+
+
+def along_z(reading_m: FloatArray, std_m: float | FloatArray) -> Readings:
+    """Readings (m,) of a point laser, one a pose."""
+    count = len(reading_m)
+    points, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    points[:, 2] = reading_m
+    covariance[:, 2, 2] = np.broadcast_to(std_m, count) ** 2
+    return Readings(points, covariance, np.arange(count))
+
+
+def plane_starts(
+    task: SensorTask,
+    pose: FloatArray,
+    sensor_p: FloatArray,
+    features: tuple[Feature, ...],
+    index: NDArray[np.intp],
+    ball_m: float = 0.0,
+) -> list[Mapping[str, Value]]:
+    """Starts from readings on planes; one plane has no spin of its own to try."""
+    normal = np.array([feature.axis for feature in features])[index]
+    point = np.array([feature.point_m for feature in features])[index]
+    offset = np.einsum("mi,mi->m", normal, point) + ball_m
+    grid = starts.directions() if len(features) == 1 else starts.rotations()
+    mount, holder, cost = starts.on_planes(pose, sensor_p, normal, offset, grid)
+    return [task.poses(mount[i], holder[i]) for i in starts.best(cost, holder[:, :3, :3], mount[:, :3, :3])]
+
+
+def mislabelled(
+    task: SensorTask, faces: tuple[Feature, ...], values: Mapping[str, Value], rejected: NDArray[np.bool_]
+) -> list[Finding]:
+    """Rejected readings that lie on another face than the one named for them."""
+    sigma = np.sqrt(task.model().rows(values).noise_variance)
+    points = task.seen_points(values)
+    ball_m = float(vector_of(values, "probe.radius", 1)[0]) if "probe.radius" in values else 0.0
+    axes, places = np.array([face.axis for face in faces]), np.array([face.point_m for face in faces])
+    distance = points @ axes.T - np.einsum("fi,fi->f", axes, places) - ball_m
+    nearest = np.argmin(np.abs(distance), axis=1)
+    close = np.abs(distance[np.arange(len(points)), nearest]) < _ON_A_FACE * sigma
+    wrong = np.flatnonzero(rejected & close & (nearest != task.labels))
+    if not len(wrong):
+        return []
+    first = wrong[0]
+    return [
+        Finding(
+            Cause.WRONG_SURFACE,
+            f"{len(wrong)} readings lie on another face than named: reading {first} is on "
+            f"{faces[nearest[first]].name}, not on {faces[task.labels[first]].name}",
+            "Check which reading is of which",
+            refuses=False,
+        )
+    ]
+
+
+def face_features(features: tuple[Feature, ...], form_std_m: float) -> tuple[Feature, ...]:
+    """The faces, each with a form error of its own where there is one."""
+    if not form_std_m:
+        return features
+    return tuple(
+        replace(feature, deviations=("offset",), blocks=(f"form.{feature.name}",)) for feature in features
+    )
+
+
+def with_form(belief: Belief, features: tuple[Feature, ...], form_std_m: float) -> Belief:
+    """The belief with the form error of each face."""
+    for feature in features if form_std_m else ():
+        belief = belief.with_block(
+            f"form.{feature.name}", 0.0, std=form_std_m, freedoms=("offset",), source="form"
+        )
+    return belief
+
+
+def exchanged(index: NDArray[np.intp], names: Sequence[str]) -> list[tuple[Finding, NDArray[np.intp]]]:
+    """Labels with two names exchanged, for all pairs that were used."""
+    found = []
+    for first, second in combinations(np.unique(index).tolist(), 2):
+        other = index.copy()
+        other[index == first], other[index == second] = second, first
+        finding = Finding(
+            Cause.WRONG_SURFACE,
+            f"The readings fit when {names[first]} and {names[second]} are exchanged",
+            "Check which reading is of which",
+        )
+        found.append((finding, other))
+    return found

@@ -1,0 +1,309 @@
+"""From a Problem to a Result: checks, starts, the same non-linear estimate for all, diagnosis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.belief import Belief, Value
+from estimation.chart import Chart
+from estimation.errors import DegenerateGeometry, EstimationError
+from estimation.fitting import reweighted
+from estimation.model import Model, values_of
+from estimation.observability import RankReport
+from estimation.solver import Update, update
+from estimation.tasks.findings import Cause, Finding, Status, TaskRefused
+from estimation.transform import FloatArray, Transform, log_pose
+
+AMBIGUOUS_RATIO: Final = 10.0  # of the costs of two solutions, below which neither is preferred
+OUTLIER_LEVEL: Final = 1e-3  # probability that an honest batch loses a measurement
+CONSISTENCY_LEVEL: Final = 1e-3  # probability that honest residuals are called inconsistent
+_COARSE: Final = 1e-2  # standard deviations: tolerance of a descent that only ranks its start
+_SAME_SIGMAS: Final = 30.0  # two minima closer than this many standard deviations are one
+
+
+class Problem(Protocol):
+    """One calibration task with its data. All lengths in m, angles in rad."""
+
+    @property
+    def task(self) -> str:
+        """Name in the registry."""
+
+    @property
+    def consider(self) -> tuple[str, ...]:
+        """Shared errors that are carried but not updated, by name of their block."""
+
+    def check(self) -> Sequence[Finding]:
+        """What is wrong with the data at sight, before anything is computed from them."""
+
+    def belief(self) -> Belief:
+        """Flat blocks to estimate, and priors of all that they depend on."""
+
+    def rough(self) -> Belief:
+        """The belief to compare starts with; errors of many unknowns that readings share may be missing."""
+
+    def model(self) -> Model:
+        """The measurements."""
+
+    def starts(self) -> Sequence[Mapping[str, Value]]:
+        """Values of flat blocks to start from, most promising first."""
+
+    def settled(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
+        """The same solution with what changes nothing, such as spin about a beam, fixed by rule."""
+
+    def explanations(self) -> Sequence[tuple[Finding, "Problem"]]:
+        """Mistakes that people make with such data, and the same problem with each undone."""
+
+    def diagnose(self, values: Mapping[str, Value], rejected: NDArray[np.bool_] | None) -> Sequence[Finding]:
+        """About the values that fit best: why data leave something open (None), or what was rejected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ambiguity:
+    """A second solution: `ratio` of its cost to that of the first, and its values."""
+
+    ratio: float
+    values: Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What a task found. A refused task has findings and no values.
+
+    Attributes
+    ----------
+    estimate : posterior of all blocks with budget and diagnostics; None when refused.
+    initial : the belief before; with the posterior it gives sensitivities.
+    findings : why a result is refused or flagged.
+    ambiguity : the next best minimum that was found, if any.
+    """
+
+    task: str
+    status: Status
+    findings: tuple[Finding, ...]
+    estimate: Update | None = None
+    initial: Belief | None = None
+    ambiguity: Ambiguity | None = None
+
+    @property
+    def update(self) -> Update:
+        """The estimate; raises TaskRefused when there is none."""
+        if self.estimate is None:
+            causes = "; ".join(str(finding) for finding in self.findings)
+            raise TaskRefused(f"{self.task} was refused: {causes}", "Mend the data, then estimate again")
+        return self.estimate
+
+    @property
+    def belief(self) -> Belief:
+        """Posterior: values, covariance and budget of everything."""
+        return self.update.belief
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Value of each block; empty when refused."""
+        return {} if self.estimate is None else {b.name: b.value for b in self.estimate.belief.blocks}
+
+    def covariance(self, name: str) -> FloatArray:
+        """Covariance (k, k) of the freedoms of a block; a pose is form A, [t; phi], m and rad."""
+        return self.belief.block_covariance(name)
+
+    def budget(self, name: str) -> dict[str, FloatArray]:
+        """Variance (k,) of the freedoms of a block by source; they add up to the covariance's diagonal."""
+        place = self.belief.index(name)
+        return {source: np.diag(matrix)[place] for source, matrix in self.belief.contributions.items()}
+
+    @property
+    def chi2(self) -> float:
+        """Minimum of the joint cost, against the full covariance."""
+        return self.update.chi2
+
+    @property
+    def dof(self) -> int:
+        """Rows + prior rows - unknowns."""
+        return self.update.dof
+
+    @property
+    def rank(self) -> RankReport | None:
+        """Rank of the flat blocks on the data alone."""
+        return self.update.rank
+
+    @property
+    def rejected(self) -> NDArray[np.bool_]:
+        """(m,) rows that the outlier gate left out."""
+        return self.update.rejected
+
+    def sensitivity(self, name: str, source: str) -> FloatArray:
+        """L (k, s) = d(estimate of block `name`) / d(shared error `source`), so that cov = L P_source.
+
+        For the next phase that sees the same error: P_source is the prior of that block.
+        """
+        if self.initial is None:
+            raise TaskRefused(f"{self.task} was refused", "Mend the data, then estimate again")
+        place = self.initial.index(source)
+        prior = self.initial.prior_covariance[place, place]
+        cross = self.belief.covariance[self.belief.index(name), self.belief.index(source)]
+        return np.asarray(cross @ np.linalg.pinv(prior, hermitian=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Minimum:
+    cost: float
+    values: Mapping[str, Value]  # of the flat blocks
+
+
+def solve(problem: Problem, explain: bool = True) -> Result:
+    """Estimate; never raises for bad data, which come back refused or flagged with their cause.
+
+    With `explain`, data that fit badly are tried again with common mistakes undone: if one of them
+    makes the residuals what they should be, it is named.
+    """
+    sight = tuple(problem.check())
+    if any(finding.refuses for finding in sight):
+        return Result(problem.task, Status.REFUSED, sight)
+    result = _estimated(problem, sight)
+    if explain and result.status is not Status.OK and _misfits(result):
+        for finding, other in problem.explanations():
+            if any(each.refuses for each in other.check()):
+                continue
+            again = _estimated(other, ())
+            if again.estimate is not None and not _misfits(again) and not again.rejected.any():
+                return Result(problem.task, Status.REFUSED, (*sight, finding))
+    return result
+
+
+def _misfits(result: Result) -> bool:
+    """Whether residuals speak against the data, and not the geometry."""
+    return any(
+        finding.cause in (Cause.INCONSISTENT, Cause.CLUSTERED_OUTLIERS, Cause.NO_SOLUTION)
+        for finding in result.findings
+    )
+
+
+def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
+    try:
+        belief, model = problem.belief(), problem.model()
+        every = np.ones(len(model), dtype=np.bool_)
+        minima, reason = _minima(problem, model, problem.starts(), every)
+    except DegenerateGeometry as error:
+        return _refused(problem, sight, Cause.UNDETERMINED, error)
+    except EstimationError as error:
+        return _refused(problem, sight, Cause.NO_SOLUTION, error)
+    if not minima:
+        cause = Cause.UNDETERMINED if isinstance(reason, DegenerateGeometry) else Cause.NO_SOLUTION
+        return _refused(problem, sight, cause, reason)
+    start = belief.started(minima[0].values)
+    try:
+        found = update(
+            start,
+            model,
+            consider=problem.consider,
+            robust="cauchy",
+            reject_level=OUTLIER_LEVEL,
+            tolerance=1e-6,
+        )
+    except DegenerateGeometry as error:
+        seen = tuple(problem.diagnose(values_of(start), None))
+        return _refused(problem, (*sight, *seen), Cause.UNDETERMINED, error)
+    except EstimationError as error:
+        cause = Cause.CLUSTERED_OUTLIERS if "contradict" in error.problem else Cause.NO_SOLUTION
+        return _refused(problem, sight, cause, error)
+    findings = [*sight, *_diagnosed(found)]
+    if found.rejected.any():
+        findings += problem.diagnose(values_of(found.belief), found.rejected)
+        # What was left out must not decide between solutions either.
+        again = [minimum.values for minimum in minima]
+        minima = _minima(problem, model, again, ~found.rejected)[0] or minima
+    ambiguity = None
+    for other in minima[1:]:
+        ratio = other.cost / max(minima[0].cost, float(np.finfo(float).tiny))
+        if _apart(found.belief, minima[0].values, other.values):
+            ambiguity = Ambiguity(ratio, other.values)
+            if ratio < AMBIGUOUS_RATIO:
+                findings.append(_ambiguous(ratio))
+            break
+    refused = any(finding.refuses for finding in findings)
+    status = Status.REFUSED if refused else Status.FLAGGED if findings else Status.OK
+    return Result(
+        problem.task,
+        status,
+        tuple(findings),
+        None if refused else found,
+        None if refused else belief,
+        ambiguity,
+    )
+
+
+def _minima(
+    problem: Problem, model: Model, starts: Sequence[Mapping[str, Value]], used: NDArray[np.bool_]
+) -> tuple[list[_Minimum], EstimationError]:
+    """Where the starts roll to on the rows `used` (m,), lowest cost first; why the last that failed did."""
+    found: list[_Minimum] = []
+    reason = EstimationError("No start was found", "Measure from more and other directions")
+    belief = problem.rough()
+    for values in starts:
+        chart = Chart(belief.started(values), model)
+        try:
+            fit = reweighted(chart, np.zeros(belief.size), used, _COARSE)
+        except EstimationError as error:
+            reason = error
+            continue
+        reached = chart.at(fit.z)[0]
+        settled = problem.settled({name: reached[name] for name in values})
+        found.append(_Minimum(fit.costs[-1][-1], settled))
+    return sorted(found, key=lambda minimum: minimum.cost), reason
+
+
+def _apart(posterior: Belief, one: Mapping[str, Value], other: Mapping[str, Value]) -> bool:
+    """Whether two minima are two solutions, and not the same one less far converged."""
+    for name, there in other.items():
+        here, std = one[name], posterior.std(name)
+        if isinstance(here, Transform) and isinstance(there, Transform):
+            gap = log_pose(here.inverse().matrix @ there.matrix)[posterior.block(name).active]
+        else:
+            gap = np.asarray(there) - np.asarray(here)
+        if np.abs(gap / np.maximum(std, 1e-12)).max() > _SAME_SIGMAS and np.abs(gap).max() > 1e-6:
+            return True
+    return False
+
+
+def _diagnosed(found: Update) -> list[Finding]:
+    findings = []
+    if found.rejected.any():
+        worst = float(np.abs(found.standardised[found.rejected]).max())
+        rows = np.flatnonzero(found.rejected)
+        findings.append(
+            Finding(
+                Cause.OUTLIER,
+                f"{len(rows)} of {len(found.rejected)} rows contradict the others by up to {worst:.0f} "
+                f"standard deviations, the first is row {rows[0]}; they were left out",
+                "Look at these measurements; measure them again",
+                refuses=False,
+            )
+        )
+    if found.dof > 0 and not found.consistency(CONSISTENCY_LEVEL).passed:
+        test = found.consistency(CONSISTENCY_LEVEL)
+        large = found.chi2 > test.upper
+        findings.append(
+            Finding(
+                Cause.INCONSISTENT,
+                f"Residuals are {'larger' if large else 'smaller'} than declared: chi2 {found.chi2:.3g}, "
+                f"honest data keep {test.lower:.3g} to {test.upper:.3g}",
+                "Check the declared noise, and that every reading belongs to its pose and surface",
+                refuses=large and found.variance_factor > 10.0,
+            )
+        )
+    return findings
+
+
+def _ambiguous(ratio: float) -> Finding:
+    return Finding(
+        Cause.AMBIGUOUS,
+        f"Two solutions fit: the second costs {ratio:.2g} times the first, limit {AMBIGUOUS_RATIO:g}",
+        "Measure where the two differ, or give a prior for what is known",
+    )
+
+
+def _refused(problem: Problem, sight: tuple[Finding, ...], cause: Cause, error: EstimationError) -> Result:
+    return Result(problem.task, Status.REFUSED, (*sight, Finding(cause, error.problem, error.remedy)))
