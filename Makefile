@@ -14,7 +14,7 @@ UV := VIRTUAL_ENV=$(CURDIR)/.venv $(BIN)/uv
 COMPILE := $(UV) pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 \
 	--generate-hashes --no-emit-index-url --no-header
 
-.PHONY: help setup demo test lint fmt campaign coverage requirements clean
+.PHONY: help setup demo test lint fmt bench campaign coverage requirements clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -63,6 +63,10 @@ campaign: $(STAMP) ## long statistical tests
 
 coverage: $(STAMP) ## 5,000 random cells, into docs/evidence.md
 	@$(BIN)/truecell verify --cells 5000 --seed 20001 --json | $(BIN)/python docs/coverage_table.py
+
+bench: $(STAMP) ## beside what people use today, into docs/performance.md; installs the peers
+	@$(UV) pip install --quiet --require-hashes -r requirements/bench.txt
+	@$(BIN)/python -m benchmarks
 
 requirements: ## pin again after a change of dependencies in pyproject.toml; UPGRADE=--upgrade takes newer versions
 	@test -x $(BIN)/uv || { $(PYTHON) -m venv .venv && $(BIN)/python -m pip install -qq --require-hashes -r requirements/bootstrap.txt; }
