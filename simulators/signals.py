@@ -74,5 +74,10 @@ class Ticker:
 
     def update(self, time_s: float) -> None:
         """Bring `closed` and `count` up to that instant."""
-        self.count = math.floor(time_s / self.period_s)
-        self.closed = time_s / self.period_s % 1.0 < 0.5
+        periods = time_s / self.period_s + 1e-9  # an edge has come when its instant has
+        self.count = math.floor(periods)
+        self.closed = periods % 1.0 < 0.5
+
+    def unchanged_until_s(self, time_s: float) -> float:
+        """`closed` does not change before this."""
+        return (math.floor(time_s / self.period_s * 2.0 + 1e-9) + 1.0) * self.period_s / 2.0
