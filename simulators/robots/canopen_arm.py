@@ -222,5 +222,5 @@ KIND: Final = DeviceKind(
         "boot_time_s": 0.4,
         "motion_speed": 1.0,
     },
-    other={"device_name": "LWA4P"},
+    other={"serial_number": 20269900},
 )

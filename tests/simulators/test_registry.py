@@ -26,5 +26,5 @@ def test_mistakes_are_named_with_what_there_is() -> None:
         device_kind("nope")
     with pytest.raises(CellFileError, match=r"ur has no setting 'colour=red'. Write KEY=VALUE with one of"):
         read_settings(device_kind("ur"), ["colour=red"])
-    with pytest.raises(CellFileError, match="node of ams-335i cannot be 'x'. Give a number"):
+    with pytest.raises(CellFileError, match=r"node of ams-335i cannot be 'x'. Give a number"):
         read_settings(device_kind("ams-335i"), ["node=x"])

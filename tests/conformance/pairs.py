@@ -1,0 +1,167 @@
+"""The table of the conformance kit: one line for each driver and its simulator.
+
+A line says how the driver is made, and what a piece of normal work is. `work` raises what the driver raises,
+and asserts that every value it is given is true and was measured within the work.
+"""
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from controller.cellfile.robots import Robot as RobotTable
+from controller.robots import make_robot
+from drivers.capabilities import Device, ForceSensor, RangeSensor, Robot, TouchProbe
+from drivers.clock import Clock
+from drivers.links.interfaces import ByteLink
+from drivers.probes.adam6052 import AdamProbe, ProbeConfig
+from drivers.probes.wago750 import WagoConfig, WagoProbe
+from drivers.sensors.ams335i import Ams335i, AmsConfig
+from drivers.sensors.dlrs1a import DlRs1a, DlRs1aConfig
+from drivers.sensors.ft300 import Ft300, Ft300Config
+from drivers.sensors.gocator import Gocator, GocatorConfig
+from drivers.sensors.optoncdt import LaserConfig, OptoncdtLaser
+from drivers.sensors.riftek import RiftekLaser
+from drivers.sensors.riftek_ascii import RiftekAsciiLaser
+from drivers.sensors.riftek_modbus import RiftekModbusLaser
+from drivers.sensors.riftek_settings import RiftekConfig
+from estimation.transform import FloatArray
+from simulators.device_kind import Simulated
+from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, OF_CANOPEN, UR, frozen
+
+Work = Callable[[Any, Simulated, Clock, np.random.Generator], None]
+
+
+@dataclass(frozen=True)
+class Pair:
+    kind: str  # of simulators/registry.py
+    driver: Callable[[Any, Clock], Device]  # from ports, as the cell has them
+    work: Work
+    boot_s: float = 5.0  # after which a restarted device must work again
+    late_s: float = 0.05  # of messages; not beyond what the driver was told that its device and line may take
+    unseen: frozenset[str] = frozenset()  # faults that nothing in the protocol can reveal
+    delay_s: float = 5.0  # longest time in which work ends, whatever the wire does
+
+
+def fresh(values: FloatArray, device: Simulated, since_s: float, clock: Clock, tolerance: float) -> None:
+    """Every value is that of an instant within [since_s, now], up to `tolerance` in its own unit."""
+    signal = device.signal
+    assert signal is not None
+    now_s = clock.now_s()
+    slack_s = tolerance / abs(signal.high - signal.low) * signal.period_s
+    for value in values:
+        instant_s = signal.instant_s(float(value), now_s)
+        assert since_s - slack_s <= instant_s <= now_s + slack_s, (
+            f"{value} was measured at {instant_s:.4f} s, asked in {since_s:.4f} to {now_s:.4f} s"
+        )
+
+
+def measure_range(tolerance_m: float, laser: RangeSensor, device: Simulated, clock: Clock, rng: Any) -> None:
+    since_s = clock.now_s()
+    laser.begin_window()
+    fresh(laser.end_window(int(rng.integers(1, 8))).distance_m, device, since_s, clock, tolerance_m)
+
+
+def measure_force(sensor: ForceSensor, device: Simulated, clock: Clock, rng: Any) -> None:
+    since_s = clock.now_s()
+    sensor.begin_window()
+    fresh(sensor.end_window(int(rng.integers(1, 8))).force_n[:, 0], device, since_s, clock, 0.05)
+
+
+def wait_for_touch(period_s: float, probe: TouchProbe, device: Simulated, clock: Clock, rng: Any) -> None:
+    """The contact closes at every multiple of the period, for half of it."""
+    clock.sleep((0.6 - clock.now_s() / period_s) % 1.0 * period_s)  # it is open now
+    probe.arm()
+    armed_s = clock.now_s()
+    while (touched_s := probe.touched_at_s()) is None:
+        assert clock.now_s() < armed_s + 2.0 * period_s, "the touch was never seen"
+    late_s = touched_s % period_s
+    assert late_s <= probe.poll_uncertainty_s and touched_s <= clock.now_s()
+
+
+def move_and_read(tolerance_rad: float, robot: Robot, device: Simulated, clock: Clock, rng: Any) -> None:
+    target_rad = rng.uniform(-0.1, 0.1, 6)
+    robot.move_joints(target_rad)
+    readings = robot.read_joints(2)
+    assert np.max(np.abs(readings.joints_rad - device.model.joints_at(clock.now_s()))) < tolerance_rad
+    assert np.max(np.abs(readings.joints_rad - target_rad)) < tolerance_rad
+
+
+def on(make: Callable[[Any, Any, Clock], Device], config: object, ports: Any, clock: Clock) -> Device:
+    """A driver with one link."""
+    link: ByteLink = next(iter(ports.links.values()))
+    return make(link, config, clock)
+
+
+def arm(settings: dict[str, Any], ports: Any, clock: Clock) -> Device:
+    table = tomllib.loads((CELL / "cell.toml").read_text())["robot"]
+    if settings:
+        table = {key: value for key, value in table.items() if key not in OF_CANOPEN} | settings
+    robot: RobotTable = TypeAdapter(RobotTable).validate_python(frozen(table))
+    return make_robot(robot, ports, clock, keep_alive_thread=False)
+
+
+RIFTEK = RiftekConfig(base_m=0.080, range_m=0.050, serial_number="17185")
+OPTO = LaserConfig(
+    range_m=0.1, range_start_m=0.05, model="ILD1420-100", serial_number="1420100", stale_s=0.02
+)
+AMS = AmsConfig(16, serial_number="335001")
+KEYENCE = DlRs1aConfig("IL", zero_m=0.1, towards=True)
+ROBOTIQ = Ft300Config(serial_number="FTD-0417")
+LMI = GocatorConfig(0.3, 200.0, job="block")
+WAGO = WagoConfig(20, model="750-337")
+PERIOD_S = 0.5  # of contacts
+LATE_S = 0.015  # within `stale_s`, for which a stream may lie in a converter
+NO_CHECK = frozenset({"corrupt"})  # a flipped bit in a value
+CARRIED = NO_CHECK | {"truncate", "lose-byte"}  # TCP and CAN check and repeat, below the protocol
+NO_LENGTH = NO_CHECK | {"drop", "truncate", "lose-byte", "reorder"}  # a lost digit leaves another number
+RIFTEKS = (
+    ("binary", RiftekLaser, NO_CHECK),
+    ("ascii", RiftekAsciiLaser, NO_LENGTH),
+    ("modbus", RiftekModbusLaser, frozenset[str]()),
+)
+motion = partial(move_and_read, 1e-3)
+
+PAIRS = [
+    Pair("canopen-402", partial(arm, {}), motion, delay_s=30.0, unseen=CARRIED),
+    Pair("abb-open", partial(arm, ABB | {"serial_number": "14-21858"}), motion, delay_s=60.0, unseen=CARRIED),
+    Pair("igus-irc", partial(arm, IGUS), motion, delay_s=30.0, unseen=CARRIED),
+    Pair("melfa-serial", partial(arm, MELFA_SERIAL), motion, delay_s=30.0, unseen=NO_CHECK),
+    Pair("melfa-tcp", partial(arm, MELFA_TCP), motion, delay_s=30.0, unseen=CARRIED),
+    Pair("ur", partial(arm, UR), motion, delay_s=30.0, unseen=CARRIED),
+    Pair(
+        "optoncdt-1420",
+        partial(on, OptoncdtLaser, OPTO),
+        partial(measure_range, 6e-5),
+        late_s=LATE_S,
+        unseen=NO_CHECK,
+    ),
+    *(
+        Pair(
+            f"rf60x-{name}",
+            partial(on, make, RIFTEK),
+            partial(measure_range, 1e-5),
+            late_s=LATE_S,
+            unseen=unseen,
+        )
+        for name, make, unseen in RIFTEKS
+    ),
+    Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=CARRIED),
+    Pair("dl-rs1a", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=NO_CHECK),
+    Pair("ft-300", partial(on, Ft300, ROBOTIQ), measure_force, late_s=LATE_S),
+    Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=CARRIED),
+    Pair(
+        "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=CARRIED
+    ),
+    Pair(
+        "wago-750-337",
+        partial(on, WagoProbe, WAGO),
+        partial(wait_for_touch, PERIOD_S),
+        late_s=0.002,
+        unseen=CARRIED,
+    ),
+]

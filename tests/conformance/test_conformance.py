@@ -1,0 +1,119 @@
+"""What every driver does with every device, in virtual time: the conformance kit. Its table is `pairs.py`."""
+
+import numpy as np
+import pytest
+
+from estimation.errors import DeviceError, IdentityMismatch
+from simulators.registry import DEVICES
+from tests.conformance.pairs import PAIRS, Pair
+from tests.conformance.rig import Rig
+
+MESSAGE_FAULTS = ("late", "drop", "duplicate", "reorder", "truncate", "corrupt", "lose-byte", "split")
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.kind)
+class TestConformance:
+    def test_normal_work(self, pair: Pair) -> None:
+        rig = Rig(pair)
+        identity = rig.driver.connect()
+        assert identity.model
+        for _ in range(3):
+            rig.work()
+        health = rig.driver.health()
+        assert health.frames > 0 and (health.bad_frames, health.timeouts) == (0, 0)
+        rig.driver.close()
+        rig.driver.close()
+
+    def test_work_before_connect_is_refused(self, pair: Pair) -> None:
+        with pytest.raises(DeviceError):
+            Rig(pair).work()
+
+    def test_a_restart_is_noticed_and_a_new_connection_heals_it(self, pair: Pair) -> None:
+        rig = Rig(pair)
+        rig.driver.connect()
+        rig.work()
+        assert rig.device.restart is not None
+        rig.device.restart(rig.clock.now_s())
+        rig.timed_work()  # whether or not it can go on, no value is wrong
+        rig.heal()
+
+    def test_unplugged_says_so_at_once_and_heals(self, pair: Pair) -> None:
+        rig = Rig(pair)
+        rig.driver.connect()
+        rig.unplug(True)
+        with pytest.raises(DeviceError, match="is gone"):
+            rig.work()
+        with pytest.raises(DeviceError, match="is gone"):
+            rig.driver.connect()
+        rig.unplug(False)
+        rig.heal()
+
+    def test_another_device_in_its_place_is_refused_or_has_another_identity(self, pair: Pair) -> None:
+        rig = Rig(pair)
+        identity = rig.driver.connect()
+        rig.swap()
+        try:
+            other = rig.driver.connect()
+        except IdentityMismatch:
+            return
+        assert other != identity  # where no expected identity was given, the cell compares
+
+    def test_silence_is_found_within_the_budget(self, pair: Pair) -> None:
+        rig = Rig(pair)
+        rig.driver.connect()
+        for link in rig.links:
+            link.faults.add("drop")
+        assert not rig.timed_work()
+        for link in rig.links:
+            link.faults.clear()
+        rig.heal()
+
+    @pytest.mark.parametrize("fault", MESSAGE_FAULTS)
+    def test_no_value_is_wrong_whatever_the_wire_does(self, pair: Pair, fault: str) -> None:
+        if fault in pair.unseen:
+            fault = "late"
+        session(pair, 7, [fault], 0.05)
+
+
+def session(pair: Pair, seed: int, faults: list[str], chance: float) -> None:
+    """Work on a wire with faults, then without: every value is true, nothing hangs, all heals."""
+    rig = Rig(pair, seed)
+    rig.driver.connect()
+    for link in rig.links:
+        for fault in faults:
+            link.faults.add(fault, pair.late_s if fault == "late" else None, chance=chance)
+    for _ in range(3):
+        if not rig.timed_work():
+            rig.release()
+    for link in rig.links:
+        link.faults.clear()
+    rig.heal()
+
+
+def sessions(seeds: range) -> list[str]:
+    """What went wrong, by seed; each draws a pair, two faults and how often they strike."""
+    failures = list[str]()
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        pair = PAIRS[seed % len(PAIRS)]
+        possible = [fault for fault in MESSAGE_FAULTS if fault not in pair.unseen]
+        faults = rng.choice(possible, 2, replace=False).tolist()
+        chance = float(rng.choice([0.01, 0.05, 0.2]))
+        try:
+            session(pair, seed, faults, chance)
+        except Exception as error:
+            failures.append(f"seed {seed}, {pair.kind}, {faults} at {chance:g}: {error!r:.200}")
+    return failures
+
+
+def test_seeded_sessions_with_faults() -> None:
+    assert sessions(range(80)) == []
+
+
+@pytest.mark.campaign
+def test_fifty_thousand_seeded_sessions_with_faults() -> None:
+    assert sessions(range(50_000)) == []
+
+
+def test_every_simulated_device_has_a_driver_in_the_table() -> None:
+    assert {pair.kind for pair in PAIRS} == set(DEVICES)
