@@ -14,6 +14,7 @@ _POINTS: Final = 60  # of all that were measured: more would not tell more of wh
 _ROTATIONS: Final = 576
 _ROUNDS: Final = ((8, 150), (25, 40), (40, 40))  # steps, and how many poses are left for the next
 _SAME: Final = 5e-3  # of the size: two minima closer than this are one
+_CROWDED: Final = 2e-2
 _SMALLEST_SIZE_M: Final = 0.05
 
 
@@ -48,7 +49,8 @@ def search_features(
     size_m = max(float(np.ptp(points, axis=0).max()), _SMALLEST_SIZE_M)
     for steps, keep in _ROUNDS:
         poses, square = descend(poses, points, distance, steps)
-        best = np.argsort(square, kind="stable")[:keep]
+        # Not simply the lowest: one minimum to which many roll quickly must not crowd out the others.
+        best = distinct(poses, square, _CROWDED * size_m, size_m, keep)
         poses, square = poses[best], square[best]
     left = distinct(poses, square, _SAME * size_m, size_m, count)
     return poses[left], square[left]
