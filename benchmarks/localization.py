@@ -1,4 +1,4 @@
-"""Localization of a blade and thinning of stripes, against what users take today, on the same arrays in turns.
+"""Localization of a blade and thinning of stripes, against what users take today, on the same arrays.
 
 Run with `python -m benchmarks.localization`. Needs the extra `bench`. Two threads for everybody.
 """
@@ -40,14 +40,15 @@ class Measured:
 
     def __str__(self) -> str:
         return (
-            f"{self.task}: {self.peer_s / self.ours_s:.1f} times {self.peer} ({self.peer_s * 1e3:.1f} against "
+            f"{self.task}: {self.peer_s / self.ours_s:.1f} times {self.peer} "
+            f"({self.peer_s * 1e3:.1f} against "
             f"{self.ours_s * 1e3:.1f} ms; {self.peer_mb:.0f} against {self.ours_mb:.0f} MB; "
             f"{self.error_sigma:.1e} sigma, cost {self.cost_excess:+.1e})"
         )
 
 
 def mesh_localization(count: int, repeat: int = 5) -> Measured:
-    """Points on a blade of 80,000 triangles against Open3D's closest points with Gauss-Newton, few points first."""
+    """Points on a blade of 80,000 triangles against Open3D's closest points with Gauss-Newton."""
     vertices, triangles = blade_arrays(200, 200)
     mesh = TriangleMesh(vertices, triangles)
     rng = np.random.default_rng(1)
