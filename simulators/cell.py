@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import CellFileError
-from simulators.probes.adam6052 import Adam6052
+from simulators.probes.kinds import make_probe
 from simulators.robots.kinds import make_robot
-from simulators.sensors.optoncdt import OptoNcdt1420
+from simulators.sensors.kinds import Optics, make_laser
 from simulators.world.contact import StylusContact
 from simulators.world.truth import draw_truth, stream
 from simulators.world.world import World
@@ -18,7 +18,8 @@ from simulators.world.world_file import read_world_file
 class CellModel:
     """The devices, wired to one world.
 
-    `robot` names the driver that shall find its robot; behind each protocol is the same mechanical arm.
+    `robot`, `laser` and `probe` name the drivers that shall find their devices; behind each protocol are the
+    same mechanical arm, beam and stylus.
     `motion_speed` shortens fast moves; `error_factor` and `noise_factor` 0 make a nominal, silent cell.
     Raises CellFileError.
     """
@@ -33,6 +34,8 @@ class CellModel:
         noise_factor: float = 1.0,
         cache_dir: Path | None = None,
         robot: str = "canopen-402",
+        laser: str = "optoncdt-1420",
+        probe: str = "adam-6052",
     ) -> None:
         self.file = file = read_world_file(world_dir)
         if scenario not in file.scenarios:
@@ -44,16 +47,13 @@ class CellModel:
         factors = np.array(self.scenario.joint_noise_factors or [1.0] * joints) * noise_factor
         self.arm = make_robot(robot, file.arm, stream(seed, "noise.joints"), factors, motion_speed)
         self.world = World(file, self.truth, self.arm, noise_factor, self.scenario.part_present, cache_dir)
-        self.laser = OptoNcdt1420(
-            file.laser,
-            self.world,
-            self.truth.laser_scale,
-            self.truth.laser_offset_m,
-            stream(seed, "noise.laser.reading"),
-            noise_factor,
-        )
+        truth = self.truth
+        rng = stream(seed, "noise.laser.reading")
+        optics = Optics(file.laser, self.world, truth.laser_scale, truth.laser_offset_m, rng, noise_factor)
+        self.laser_wire = make_laser(laser, optics)
         self.contact = StylusContact(self.world, self.arm)
-        self.probe = Adam6052(self.contact, file.probe.model, file.probe.channel, file.probe.reply_delay_s)
+        self.probe_wire = make_probe(probe, self.contact, file.probe, stream(seed, "noise.probe.reading"))
+        self.laser, self.probe = self.laser_wire.model, self.probe_wire.model
 
     def bump(self) -> None:
         """Knock the laser as the scenario says."""

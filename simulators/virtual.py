@@ -12,8 +12,8 @@ from estimation.errors import DeviceError
 from simulators.cell import CellModel
 from simulators.faults import FaultyBytes, FaultyCan, WireFaults
 from simulators.interfaces import ByteDevice, CanDevice, Frame
-from simulators.modbus_server import ModbusConnection
 from simulators.robots.canopen_arm import SimulatedArm
+from simulators.wired import Wired
 
 _OTHER_CELL = "Simulate the robot that the cell file names"
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
@@ -188,15 +188,26 @@ class SimulatedCell:
         noise_factor: float = 1.0,
         cache_dir: Path | None = None,
         robot: str = "canopen-402",
+        laser: str = "optoncdt-1420",
+        probe: str = "adam-6052",
     ) -> None:
         self.clock = VirtualClock()
         self.model = CellModel(
-            world_dir, seed, scenario, motion_speed, error_factor, noise_factor, cache_dir, robot
+            world_dir,
+            seed,
+            scenario,
+            motion_speed,
+            error_factor,
+            noise_factor,
+            cache_dir,
+            robot,
+            laser,
+            probe,
         )
         self.truth, self.world = self.model.truth, self.model.world
         self.arm, self.contact = self.model.arm, self.model.contact
-        self.laser_link = VirtualByteLink("laser", self.clock, lambda: self.model.laser)
-        self.probe_link = VirtualByteLink("probe", self.clock, lambda: ModbusConnection(self.model.probe))
+        self.laser_link = self._link("laser", self.model.laser_wire)
+        self.probe_link = self._link("probe", self.model.probe_wire)
         links: dict[str, VirtualCanLink | VirtualByteLink] = {
             name: VirtualByteLink(name, self.clock, connect)
             for name, connect in self.model.arm.connections().items()
@@ -204,6 +215,13 @@ class SimulatedCell:
         if isinstance(self.model.arm, SimulatedArm):
             links["robot"] = VirtualCanLink("robot", self.clock, self.model.arm)
         self.ports = VirtualPorts({**links, "laser": self.laser_link, "probe": self.probe_link})
+
+    def _link(self, name: str, wired: Wired) -> VirtualCanLink | VirtualByteLink:
+        if wired.can is not None:
+            return VirtualCanLink(name, self.clock, wired.can)
+        if wired.connect is None:
+            raise ValueError(f"{name} has no wire")
+        return VirtualByteLink(name, self.clock, wired.connect)
 
     @property
     def arm_link(self) -> VirtualCanLink:

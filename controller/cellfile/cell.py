@@ -7,11 +7,12 @@ from pathlib import Path
 
 from pydantic import Field, PrivateAttr
 
-from controller.cellfile.devices import Laser, Probe
 from controller.cellfile.job import Job
+from controller.cellfile.lasers import AnyLaser
 from controller.cellfile.lines import KeyPath, LineIndex
 from controller.cellfile.mistakes import Mistake, Source
 from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
+from controller.cellfile.probes import AnyProbe
 from controller.cellfile.robots import Robot
 from controller.cellfile.tables import Name, Placement, Table
 
@@ -34,9 +35,9 @@ class Cell(Table):
     """The cell itself."""
     robot: Robot
     """The arm."""
-    laser: Laser
+    laser: AnyLaser
     """The distance laser."""
-    probe: Probe
+    probe: AnyProbe
     """The touch probe."""
     plate: Plate
     """The calibration plate."""

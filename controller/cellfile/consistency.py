@@ -12,10 +12,11 @@ from typing import Any, Final
 from controller.cellfile import job_checks, part_checks
 from controller.cellfile.arm import Arm
 from controller.cellfile.cell import Header
-from controller.cellfile.devices import Laser, Probe
+from controller.cellfile.lasers import GocatorLaser, Laser, OptoncdtLaser, RiftekLaser
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import Mistake, Source, nearest
 from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
+from controller.cellfile.probes import Probe
 from controller.cellfile.robots import CanopenRobot
 from controller.cellfile.tables import Placement
 from controller.quantities import format_angle, format_duration, format_frequency, format_length
@@ -27,7 +28,8 @@ SLCAN_FRAMES_PER_S: Final = 3000  # what a serial CAN dongle passes on without l
 SLCAN_MARGIN: Final = 1.2  # for heartbeats, emergencies and service data
 CAN_FRAME_BITS: Final = 135  # 8 data bytes with stuffing and gap
 CAN_LOAD: Final = 0.7  # above it, low priorities wait too long
-LASER_BITS_PER_CYCLE: Final = 3 * 10  # three bytes, each with start and stop bit
+OPTONCDT_BITS: Final = 3 * 10  # three bytes in each cycle, each with start and stop bit
+RIFTEK_BITS: Final = 4 * 11  # four bytes, with parity as well
 TOUCH_TRAVEL_M: Final = 5e-6  # largest travel between two polls
 FULL_TURN_RAD: Final = 6.283185307179586
 DRIVE_COUNTS: Final = 2**31  # positions are 32-bit integers
@@ -158,7 +160,7 @@ def ports(robot: Arm, laser: Laser, source: Source) -> Iterator[Finding]:
     """One device on each port."""
     if not isinstance(robot, CanopenRobot) or robot.interface != "slcan":
         return
-    if Path(robot.port) == Path(laser.port):
+    if not isinstance(laser, GocatorLaser) and Path(robot.port) == Path(getattr(laser, "port", "")):
         line = source.index.line_of(("robot", "port"))
         yield ("laser", "port"), f"the robot is on this port (line {line})", "give each device its own port"
 
@@ -179,13 +181,19 @@ def laser_ranges(laser: Laser) -> Iterator[Finding]:
 
 
 def laser_line(laser: Laser) -> Iterator[Finding]:
-    """The line carries three bytes for each measuring cycle."""
-    bits_per_s = laser.rate_hz * LASER_BITS_PER_CYCLE
+    """The line of a laser that streams carries all bytes of each measuring cycle."""
+    if isinstance(laser, OptoncdtLaser):
+        bits = OPTONCDT_BITS
+    elif isinstance(laser, RiftekLaser) and laser.driver == "riftek-binary":
+        bits = RIFTEK_BITS
+    else:
+        return
+    bits_per_s = laser.rate_hz * bits
     if bits_per_s > laser.baud:
         yield (
             ("laser", "rate"),
             f"{bits_per_s:.0f} bit/s on a line of {laser.baud} baud",
-            f"write at most {format_frequency(laser.baud / LASER_BITS_PER_CYCLE)}, or raise the baud rate",
+            f"write at most {format_frequency(laser.baud / bits)}, or raise the baud rate",
         )
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from controller.cellfile.devices import Laser
 from controller.cellfile.job import CheckPhase, HandEyePhase, Job, LocalizePhase
+from controller.cellfile.lasers import Laser
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import nearest
 from controller.cellfile.objects import Part

@@ -5,11 +5,11 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import Final
 
-from controller.cellfile.devices import Probe
 from controller.cellfile.job import Job
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import nearest
 from controller.cellfile.objects import UNITS_M, Diameter, Part, Position, Sphere
+from controller.cellfile.probes import Probe
 from controller.quantities import format_angle, format_length
 
 Finding = tuple[KeyPath, str, str]

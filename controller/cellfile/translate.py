@@ -54,6 +54,8 @@ def mistakes_of(errors: list[ErrorDetails], source: Source) -> list[Mistake]:
     for path, error in located:
         if error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"]:
             continue  # pydantic counts only elements that are in order; the others are reported themselves
+        if error["type"] == "union_tag_not_found" and path in meant:
+            continue
         if error["type"] != "missing" or isinstance(path[-1], int):
             mistakes.append(_mistake_of(error, path, source))
         elif not any(path[:length] in meant for length in range(1, len(path) + 1)):

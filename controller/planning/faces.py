@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from controller.cellfile import Cell
-from controller.cellfile.devices import Laser
+from controller.cellfile.lasers import Laser
 from controller.knowledge import all_faces, part_faces
 from controller.planning.poses import BoolArray
 from estimation.cad import CadFace

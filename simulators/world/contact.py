@@ -100,6 +100,13 @@ class StylusContact:
         self.update(time_s)
         return self._safe_s
 
+    def depths_m(self, times_s: FloatArray) -> FloatArray:
+        """How far the stylus was pressed in at past instants (n,); 0 where it was free."""
+        self.update(float(times_s[-1]))
+        gaps = [self._gap(self._ball(time_s))[0] for time_s in times_s.tolist()]
+        depths: FloatArray = np.maximum(-np.array(gaps), 0.0)
+        return depths
+
     def _unchanged_until_s(self) -> float:
         """The contact cannot change before: so long at least the ball needs for the way to a change."""
         time_s = self._time_s

@@ -47,7 +47,12 @@ class DeterministicCell:
     def __post_init__(self) -> None:
         self.cell: Cell = load_cell(self.cell_path)
         self.world = SimulatedCell(
-            self.cell_path.parent, self.seed, scenario=self.scenario, robot=self.cell.robot.driver
+            self.cell_path.parent,
+            self.seed,
+            scenario=self.scenario,
+            robot=self.cell.robot.driver,
+            laser=self.cell.laser.driver,
+            probe=self.cell.probe.driver,
         )
         self.sent_can_ids: list[int] = []
         if isinstance(self.world.arm, SimulatedArm):
