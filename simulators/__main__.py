@@ -9,7 +9,7 @@ from estimation.errors import CellError
 
 EXAMPLES = """
   truecell simulate cells/bench-block --seed 7 --motion-speed 20
-  truecell simulate --device optoncdt-1420 --port /tmp/laser --fault late:0.3@5s --fault corrupt%2
+  truecell simulate --device optoncdt-1420 --port ./laser --fault late:0.3@5s --fault corrupt%2
   truecell simulate --device adam-6052 --port 5502 --set channel=3
   truecell simulate --list
 """

@@ -135,7 +135,7 @@ def simulate(
 
     Example: truecell simulate cells/bench-block --seed 7 --motion-speed 20
 
-    Example: truecell simulate --device optoncdt-1420 --port /tmp/laser --fault late:0.3@5s
+    Example: truecell simulate --device optoncdt-1420 --port ./laser --fault late:0.3@5s
     """
     command = [sys.executable, "-m", "simulators", *(arguments or [])]
     os.execv(sys.executable, command)  # in place of this process, so that whoever ends one ends the other
