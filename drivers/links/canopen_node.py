@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from drivers.clock import Clock
-from drivers.links.canopen_sdo import SdoPort
+from drivers.links.canopen_sdo import SdoPort, read_request
 from drivers.links.interfaces import CanFrame, CanLink
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 
@@ -13,6 +13,7 @@ NMT_PRE_OPERATIONAL: Final = 0x80
 OPERATIONAL: Final = 0x05
 SYNC: Final = 0x080
 EMERGENCY: Final = 0x080
+SDO_REQUEST: Final = 0x600
 HEARTBEAT: Final = 0x700
 HEARTBEAT_MS: Final = 100
 PDO_OFF: Final = 1 << 31
@@ -21,7 +22,8 @@ BOOT_UP: Final = 0
 
 
 class CanopenNode:
-    """Everything that is received goes through `pump`; `on_pdo` gets the process data of the node.
+    """Everything that is received goes through `pump`; `on_pdo` gets the process data of the node,
+    `on_answer` its answers to `ask` and to `sdo`.
 
     A node that boots, or leaves the operational state by itself, has lost its settings: that is latched until
     the next `open`.
@@ -35,10 +37,11 @@ class CanopenNode:
         *,
         name: str,
         on_pdo: Callable[[CanFrame], None],
+        on_answer: Callable[[CanFrame], None] | None = None,
         sdo_timeout_s: float = 0.3,
     ) -> None:
         self._link, self._clock, self.node_id, self.name = link, clock, node_id, name
-        self._on_pdo = on_pdo
+        self._on_pdo, self._on_answer = on_pdo, on_answer
         self.sdo = SdoPort(link, (node_id,), self.pump, sdo_timeout_s)
         self.frames = self.timeouts = self.opened = 0
         self._state, self._running = -1, False
@@ -94,6 +97,10 @@ class CanopenNode:
             )
         self._running = True
 
+    def ask(self, index: int, subindex: int) -> None:
+        """Ask for an object and do not wait. Until it is answered, `sdo` must not be used."""
+        self._link.send(SDO_REQUEST + self.node_id, read_request(index, subindex))
+
     def sync(self) -> None:
         """Send one SYNC."""
         self._link.send(SYNC, b"")
@@ -139,6 +146,8 @@ class CanopenNode:
         self.frames += 1
         if function == 0x580:
             self.sdo.deliver(frame.can_id, frame.data, frame.time_s)
+            if self._on_answer is not None:
+                self._on_answer(frame)
         elif function == HEARTBEAT and len(frame.data) == 1:
             self._heard(frame.data[0] & 0x7F)
         elif function == EMERGENCY and len(frame.data) == 8:

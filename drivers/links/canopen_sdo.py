@@ -20,6 +20,18 @@ OBJECT_MISSING: Final = (0x06020000, 0x06090011)  # no such object, no such subi
 ATTEMPTS: Final = 2
 
 
+def read_request(index: int, subindex: int) -> bytes:
+    """The frame that asks for an object (CiA 301: initiate upload)."""
+    return bytes((0x40, index & 0xFF, index >> 8, subindex, 0, 0, 0, 0))
+
+
+def short_answer(data: bytes, index: int, subindex: int) -> bytes | None:
+    """The value in the answer to `read_request`, 1 to 4 bytes; None for any other frame."""
+    if len(data) != 8 or data[0] & 0xE3 != 0x43 or data[1:4] != read_request(index, subindex)[1:4]:
+        return None
+    return data[4 : 8 - (data[0] >> 2 & 3)]
+
+
 class SdoAbort(DeviceError):
     """The node refused an object; `code` is that of CiA 301."""
 

@@ -3,6 +3,7 @@
 The counter latches what polling would miss: a touch shorter than the poll period still counts.
 """
 
+import math
 import struct
 from dataclasses import dataclass
 from typing import Final
@@ -30,6 +31,7 @@ class ProbeConfig:
     tries: int = 2
     round_trip_s: float = 0.002  # of a poll, allowed in `poll_uncertainty_s`
     filter_s: float = 0.0  # the digital filter of the input delays every edge by this
+    fastest_hz: float = 3000.0  # of edges that the input counts (a setting: not in the facts at hand)
     longest_gap_s: float = 0.05  # a touch between polls further apart is refused
     closed_when_on: bool = True  # input level while the stylus is deflected
     address_offset: int = 0  # clients and manuals differ by one: 0 is what is on the wire
@@ -119,8 +121,15 @@ class AdamProbe:
                 f"{self._config.model}: counter {self._config.channel} went back, the module restarted",
                 "Check its supply, then reset and touch again",
             )
-        self.bounces += edges - 1
         self._gap_s = self._modbus.received_s - self._clear_s
+        possible = 1 + math.ceil(self._gap_s * self._config.fastest_hz)
+        if edges > possible:
+            raise DeviceError(
+                f"{self._config.model}: counter {self._config.channel} counted {edges} edges in "
+                f"{self._gap_s * 1e3:.0f} ms, at most {possible} are possible",
+                "Touch again; if it recurs, check the probe cable for interference, and the network",
+            )
+        self.bounces += edges - 1
         if self._gap_s > self._config.longest_gap_s:
             raise DeviceError(
                 f"Touched between polls {self._gap_s * 1e3:.0f} ms apart, "

@@ -1,6 +1,8 @@
 """The TouchProbe capability: a touch probe on an input of a WAGO 750-337 coupler (CANopen, CiA 401).
 
 The coupler sends its inputs when one changes, and again by its event timer, so that a lost frame is noticed.
+Such a frame does not tell when it was sent, and may have lain in a dongle: that the input was open at an
+instant is proven by the answer to a question that was asked then, and by nothing else.
 """
 
 from dataclasses import dataclass
@@ -9,6 +11,7 @@ from typing import Final
 from drivers.capabilities import Identity, LinkHealth
 from drivers.clock import Clock
 from drivers.links.canopen_node import CanopenNode
+from drivers.links.canopen_sdo import short_answer
 from drivers.links.interfaces import CanFrame, CanLink
 from estimation.errors import DeviceError, DeviceTimeout
 
@@ -30,8 +33,8 @@ class WagoConfig:
     model: str = ""  # compared with 1008h if given
     serial_number: str = ""  # compared with 1018h:4 if given
     event_timer_s: float = 0.01  # between two frames while nothing changes
-    latency_s: float = 0.003  # from the contact until its frame has come: filter, bus, dongle
-    longest_gap_s: float = 0.1  # a touch between frames further apart is refused
+    latency_s: float = 0.003  # from the contact until the coupler knows: filter and scan of the input
+    longest_gap_s: float = 0.1  # a touch so long after the input was last seen open is refused
     closed_when_on: bool = True
     sdo_timeout_s: float = 0.3
 
@@ -49,10 +52,13 @@ class WagoProbe:
             config.node,
             name="Probe",
             on_pdo=self._inputs,
+            on_answer=self._answer,
             sdo_timeout_s=config.sdo_timeout_s,
         )
         self._connected = self._armed = False
-        self._heard_s = self._clear_s = self._gap_s = 0.0
+        self._heard_s = self._gap_s = 0.0
+        self._clear_s = 0.0  # when it was asked for the input, which was open then
+        self._asked_s: float | None = None  # of a question that is not answered yet
         self._touched_s: float | None = None
 
     def connect(self) -> Identity:
@@ -62,10 +68,10 @@ class WagoProbe:
         """
         node, config = self._node, self._config
         self._connected = self._armed = False
-        self._touched_s = None
+        self._touched_s = self._asked_s = None
         node.open()
         identity = self._identity()
-        block = 1 + config.channel // 8
+        block = self._block
         if block > (blocks := node.sdo.read_int(config.node, INPUTS, 0)):
             raise DeviceError(
                 f"Probe: channel {config.channel} of a station with {8 * blocks} inputs",
@@ -77,7 +83,7 @@ class WagoProbe:
         node.sdo.write(config.node, INTERRUPT_ENABLE, 0, 1, 1)
         node.start()
         self._connected = True
-        self._tripped()
+        self._read()
         return identity
 
     def close(self) -> None:
@@ -94,8 +100,8 @@ class WagoProbe:
         """Forget what came before. Raises DeviceError if the probe is tripped already."""
         self._require_connection()
         self._armed, self._gap_s = False, 0.0
-        asked_s = self._clock.now_s()
-        if self._tripped():  # frames sent before the answer have come before it
+        tripped, asked_s = self._read()
+        if tripped:  # frames sent before the answer have come before it
             raise DeviceError(
                 "The probe is tripped before the approach", "Free the stylus; if it is free, check its cable"
             )
@@ -108,16 +114,23 @@ class WagoProbe:
         if not self._armed:
             raise DeviceError("The probe is not armed", "Arm it before the approach")
         if self._touched_s is None:
+            if self._asked_s is None:
+                self._asked_s = self._clock.now_s()
+                self._node.ask(INPUTS, self._block)
             heard_s = self._heard_s
-            self._node.pump(self._config.event_timer_s, lambda: self._heard_s != heard_s)
+            self._node.pump(
+                self._config.event_timer_s, lambda: self._heard_s != heard_s or self._touched_s is not None
+            )
             self._node.check()
             if self._heard_s == heard_s:
                 self._check_silence()
+            if self._touched_s is None:
+                self._check_answer()
         if self._touched_s is None:
             return None
         if self._gap_s > self._config.longest_gap_s:
             raise DeviceError(
-                f"Touched between frames {self._gap_s * 1e3:.0f} ms apart, "
+                f"Touched {self._gap_s * 1e3:.0f} ms after the input was last seen open, "
                 f"limit {self._config.longest_gap_s * 1e3:.0f} ms",
                 "Touch again; if it recurs, check the bus and the load of the computer",
             )
@@ -125,13 +138,16 @@ class WagoProbe:
 
     @property
     def poll_uncertainty_s(self) -> float:
-        """Longest time between contact and its detection: a change frame can be lost, its repetition not."""
+        """Longest time between contact and its detection: as configured, or as measured if that is longer.
+
+        Of a touch it is measured from the last question that was answered with "open".
+        """
         return max(self._config.event_timer_s, self._gap_s) + self._config.latency_s
 
     def is_open(self) -> bool:
         """The stylus touches nothing now, read afresh."""
         self._require_connection()
-        return not self._tripped()
+        return not self._read()[0]
 
     def _inputs(self, frame: CanFrame) -> None:
         """A frame of the coupler; of others than its first transmit PDO nothing is known."""
@@ -140,24 +156,50 @@ class WagoProbe:
             return
         self._heard_s = frame.time_s
         if self._closed(frame.data[byte]):
-            if self._armed and self._touched_s is None:
-                self._touched_s, self._gap_s = frame.time_s, frame.time_s - self._clear_s
-        else:
-            self._clear_s = frame.time_s
+            self._touch(frame.time_s)
+
+    def _answer(self, frame: CanFrame) -> None:
+        """An answer to `ask`; while none is expected, it is one to a read that waits for it."""
+        value = short_answer(frame.data, INPUTS, self._block)
+        if value is None or self._asked_s is None:
+            return
+        asked_s, self._asked_s = self._asked_s, None
+        if self._closed(value[0]):
+            self._touch(frame.time_s)
+        elif self._touched_s is None:
+            self._clear_s = asked_s
+
+    def _touch(self, time_s: float) -> None:
+        if self._armed and self._touched_s is None:
+            self._touched_s, self._gap_s = time_s, time_s - self._clear_s
+
+    @property
+    def _block(self) -> int:
+        """Subindex of the eight inputs with this channel."""
+        return 1 + self._config.channel // 8
 
     def _closed(self, inputs: int) -> bool:
         return bool(inputs >> self._config.channel % 8 & 1) == self._config.closed_when_on
 
-    def _tripped(self) -> bool:
-        inputs = self._node.sdo.read_int(self._config.node, INPUTS, 1 + self._config.channel // 8)
+    def _read(self) -> tuple[bool, float]:
+        """Whether the probe is tripped, and when this was asked; an answer still on its way comes first."""
+        self._node.pump(self._config.sdo_timeout_s, lambda: self._asked_s is None)
+        self._asked_s, asked_s = None, self._clock.now_s()
+        inputs = self._node.sdo.read_int(self._config.node, INPUTS, self._block)
         self._node.check()
-        return self._closed(inputs)
+        return self._closed(inputs), asked_s
 
     def _check_silence(self) -> None:
         limit_s = max(SILENT_TIMERS * self._config.event_timer_s, self._config.longest_gap_s)
         if self._clock.now_s() - self._heard_s > limit_s:
             self._node.timeouts += 1
             raise DeviceTimeout(f"Probe: no frame for {limit_s:g} s", "Check power and CAN wiring")
+
+    def _check_answer(self) -> None:
+        limit_s = self._config.sdo_timeout_s
+        if self._asked_s is not None and self._clock.now_s() - self._asked_s > limit_s:
+            self._node.timeouts += 1
+            raise DeviceTimeout(f"Probe: its input was not told within {limit_s:g} s", "Check the CAN wiring")
 
     def _identity(self) -> Identity:
         node, config = self._node, self._config

@@ -161,7 +161,6 @@ PAIRS = [
         "wago-750-337",
         partial(on, WagoProbe, WAGO),
         partial(wait_for_touch, PERIOD_S),
-        late_s=0.002,
         unseen=CARRIED,
     ),
 ]

@@ -207,6 +207,17 @@ def test_bounce_is_one_touch_and_noted() -> None:
     assert probe.bounces == 2
 
 
+def test_more_edges_than_the_input_can_count_are_no_touch() -> None:
+    probe, link, _ = connected()
+    probe.arm()
+    link.count += 851_967  # what a damaged answer once gave
+    with pytest.raises(DeviceError, match=r"counted 851967 edges in \d+ ms, at most \d\d? are possible"):
+        probe.touched_at_s()
+    assert probe.bounces == 0
+    link.count -= 851_967 - 1
+    assert probe.touched_at_s() is not None
+
+
 def test_the_counter_may_wrap_but_not_go_back() -> None:
     probe, link, _ = connected()
     link.count = 0xFFFFFFFF

@@ -81,12 +81,27 @@ def test_a_frame_of_a_touch_that_is_lost_is_repeated_by_the_event_timer(bench: B
     assert 0.005 <= late_s <= bench.probe.poll_uncertainty_s
 
 
-def test_a_touch_between_frames_far_apart_is_refused(bench: Bench) -> None:
+def test_frames_that_lay_in_the_dongle_do_not_make_a_touch_look_fresh(bench: Bench) -> None:
+    bench.probe.arm()
+    touched_s = bench.touch(0.1)
+    bench.link.faults.add("late", 0.05, from_s=touched_s - 0.045)  # those of before too: all come in a burst
+    late_s = bench.wait() - touched_s
+    assert 0.045 <= late_s <= bench.probe.poll_uncertainty_s <= 0.12
+
+
+def test_an_input_that_is_not_told_is_a_failure(bench: Bench) -> None:
+    bench.probe.arm()
+    bench.station._sdo.answer = lambda data: b""  # type: ignore[method-assign]
+    with pytest.raises(DeviceTimeout, match=r"not told within 0\.3 s"):
+        bench.wait()
+
+
+def test_a_touch_long_after_the_input_was_open_is_refused(bench: Bench) -> None:
     bench.probe.arm()
     touched_s = bench.touch(0.1, for_s=9.0)
     bench.link.faults.add("drop", from_s=touched_s, until_s=touched_s + 0.1)
     bench.clock.sleep(0.25)  # nobody could poll
-    with pytest.raises(DeviceError, match=r"frames 1\d\d ms apart, limit 100 ms"):
+    with pytest.raises(DeviceError, match=r"2\d\d ms after the input was last seen open, limit 100 ms"):
         bench.wait()
 
 
