@@ -157,7 +157,7 @@ class SensorChain:
         place = self.readings.pose_index
         flange = self.motion.at(values)
         shift = vector_of(values, self.shared).reshape(-1, 6) if self.shared in values else None
-        pose = (flange.pose if shift is None else _moved(flange.pose, shift))[place]
+        pose = (flange.pose if shift is None else moved_poses(flange.pose, shift))[place]
         mount, holder = pose_of(values, self.sensor), pose_of(values, self.object)
         scale = (
             float(vector_of(values, f"{self.sensor}.scale", 1)[0])
@@ -189,7 +189,7 @@ class SensorChain:
             jacobian[name] = by_twist @ matrix[place]
         if shift is not None:
             every = np.zeros((*by_twist.shape[:2], len(self.motion), 6))
-            every[np.arange(len(place)), :, place] = by_twist @ _as_twists(shift)[place]
+            every[np.arange(len(place)), :, place] = by_twist @ as_twists(shift)[place]
             jacobian[self.shared] = every.reshape(*by_twist.shape[:2], -1)
         if f"{self.sensor}.scale" in values:
             jacobian[f"{self.sensor}.scale"] = sensor_g @ self.readings.points_m[:, :, None]
@@ -208,7 +208,7 @@ class SensorChain:
             flat = {name: matrix[:, 0] for name, matrix in jacobian.items()}
             return Rows(residual[:, 0], flat, noise), None
         size = self._typical_variance()
-        white, share = self.whitener or _whitener(moved, own, size)
+        white, share = self.whitener or whitening(moved, own, size)
         noise = {
             self.motion.noise: (size * share).reshape(-1),
             SENSOR_NOISE: (size * (1.0 - share)).reshape(-1),
@@ -226,14 +226,15 @@ def pose_gradients(gradient: FloatArray, points: FloatArray) -> FloatArray:
     return np.concatenate([gradient, -gradient @ skew(points)], axis=-1)
 
 
-def _moved(pose: FloatArray, twist: FloatArray) -> FloatArray:
+def moved_poses(pose: FloatArray, twist: FloatArray) -> FloatArray:
+    """Poses (k, 4, 4), each with an error [t; phi] (k, 6) in its own frame."""
     moved = np.zeros((len(twist), 4, 4))
     moved[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
     moved[:, :3, 3], moved[:, 3, 3] = twist[:, :3], 1.0
     return np.asarray(pose @ moved)
 
 
-def _as_twists(shift: FloatArray) -> FloatArray:
+def as_twists(shift: FloatArray) -> FloatArray:
     """Body twists (k, 6, 6) at moved poses, by changes of the [t; phi] (k, 6) that moved them."""
     phi, turn = shift[:, 3:], skew(shift[:, 3:])
     angle = np.maximum(np.linalg.norm(phi, axis=1), 1e-4)[:, None, None]
@@ -247,10 +248,11 @@ def _as_twists(shift: FloatArray) -> FloatArray:
     return twists
 
 
-def _whitener(moved: FloatArray, own: FloatArray, size: float) -> tuple[FloatArray, FloatArray]:
+def whitening(moved: FloatArray, own: FloatArray, size: float) -> tuple[FloatArray, FloatArray]:
+    """W (m, k, k) with W (moved + own) W^T = size I and W moved W^T = size diag(share); share (m, k)."""
     total = moved + own
     least = 1e-12 * np.trace(total, axis1=1, axis2=2)[:, None, None]
-    inverse = np.linalg.inv(np.linalg.cholesky(total + np.maximum(least, 1e-30) * np.eye(3)))
+    inverse = np.linalg.inv(np.linalg.cholesky(total + np.maximum(least, 1e-30) * np.eye(own.shape[-1])))
     share, vectors = np.linalg.eigh(inverse @ moved @ inverse.swapaxes(-1, -2))
     white = np.sqrt(size) * vectors.swapaxes(-1, -2) @ inverse
     return white, np.clip(share, 0.0, 1.0)

@@ -176,7 +176,11 @@ def orientations(poses: FloatArray) -> list[Finding]:
     chosen = poses[np.unique(np.linspace(0, len(poses) - 1, _MOST_PAIRED).astype(np.intp))]
     rotation = Rotation.from_matrix(chosen[:, :3, :3])
     first, second = np.triu_indices(len(chosen), 1)
-    turn = (rotation[first].inv() * rotation[second]).as_rotvec()
+    return turns((rotation[first].inv() * rotation[second]).as_rotvec())
+
+
+def turns(turn: FloatArray) -> list[Finding]:
+    """Turns of the flange (m, 3), rad, as seen from it: large enough, and about two axes."""
     angle = np.linalg.norm(turn, axis=1)
     largest = float(angle.max())
     remedy = "Turn the tool by 20 deg or more about at least two axes"

@@ -18,15 +18,18 @@ from tests.estimation.tasks.cells import (
     CELLS,
     RANGE_STD_M,
     Cell,
+    Make,
     camera_hand_eye,
     point_laser_plane,
     point_laser_planes,
     to_plane,
 )
+from tests.estimation.tasks.pair_cells import PAIR_CELLS
 from tests.estimation.twin import LASER, PLATE_M, Sizes, Truth, arm
 from tests.estimation.twin_poses import plate_poses
 
 SEEDS = (11,)
+ALL_CELLS: dict[str, Make] = {**CELLS, **PAIR_CELLS}
 
 
 def normalised_error(result: Result, truth: dict[str, FloatArray]) -> tuple[float, int]:
@@ -51,10 +54,10 @@ def normalised_error(result: Result, truth: dict[str, FloatArray]) -> tuple[floa
     return float(error @ np.linalg.solve(covariance, error)), len(error)
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize("name", ALL_CELLS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_guess_is_needed_and_the_truth_is_within_the_covariance(name: str, seed: int) -> None:
-    cell = CELLS[name](np.random.default_rng(seed))
+    cell = ALL_CELLS[name](np.random.default_rng(seed))
     result = solve(cell.problem)
     assert result.status is Status.OK, result.findings
     error, freedoms = normalised_error(result, cell.truth)
@@ -67,9 +70,9 @@ def test_no_guess_is_needed_and_the_truth_is_within_the_covariance(name: str, se
         assert total == pytest.approx(np.diag(result.covariance(block)))
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize("name", ALL_CELLS)
 def test_jacobians_are_those_of_central_differences(name: str) -> None:
-    cell = CELLS[name](np.random.default_rng(21))
+    cell = ALL_CELLS[name](np.random.default_rng(21))
     estimate = solve(cell.problem).belief
     model = cell.problem.model().weighed_at(values_of(estimate))
     jacobian = model.rows(values_of(estimate)).jacobian
