@@ -1,4 +1,8 @@
-"""A CAN bus as a CanLink: an slcan dongle on a serial port, or a SocketCAN interface, by python-can."""
+"""A CAN bus as a CanLink: an slcan dongle on a serial port, or a SocketCAN interface, by python-can.
+
+The check of CAN ends in the dongle; its lines have none. The digit behind the identifier says how long a line
+is: a byte that was lost or doubled, and a lost CR, are found. A hexadecimal digit that became another is not.
+"""
 
 import contextlib
 import re
@@ -19,7 +23,16 @@ SEND_TIMEOUT_S: Final = 0.5
 ERROR_BUS_OFF: Final = 0x40  # SocketCAN error class, in the identifier of an error frame
 LONGEST_LINE: Final = 1024
 _LINE: Final = re.compile(rb"[^\r\a]*[\r\a]")  # BEL ends the answer to a refused command
+_FRAME: Final = re.compile(r"(t[0-9A-Fa-f]{3}|T[0-9A-Fa-f]{8})(?P<size>[0-8])(?P<data>([0-9A-Fa-f]{2})*)\r")
 TTY_BAUD: Final = 1_000_000  # of the dongle's virtual port; USB ignores it
+
+
+def is_whole(line: str) -> bool:
+    """Whether a line of the dongle, with its CR, is no data frame, or one with as many bytes as it says."""
+    if line[:1] not in ("t", "T"):
+        return True
+    match = _FRAME.fullmatch(line)
+    return match is not None and len(match["data"]) == 2 * int(match["size"])
 
 
 class _TolerantSlcanBus(slcanBus):
@@ -35,7 +48,10 @@ class _TolerantSlcanBus(slcanBus):
                 if line is not None:
                     text = line[0].decode("ascii", errors="replace")
                     del self._buffer[: line.end()]
-                    return text
+                    if is_whole(text):
+                        return text
+                    self.bad_frames += 1
+                    continue
                 data = self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
                 self._buffer += data
                 if len(self._buffer) > LONGEST_LINE and not _LINE.match(self._buffer):
@@ -46,14 +62,10 @@ class _TolerantSlcanBus(slcanBus):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
-            message, filtered = super()._recv_internal(timeout)
-        except (ValueError, IndexError):  # not hexadecimal, cut short, or not even ASCII
+            return super()._recv_internal(timeout)
+        except (ValueError, IndexError):  # a frame of another kind, cut short
             self.bad_frames += 1
             return None, False
-        if message is not None and len(message.data) != message.dlc:
-            self.bad_frames += 1
-            return None, False
-        return message, filtered
 
 
 class PythonCanLink:

@@ -5,8 +5,8 @@ and asserts that every value it is given is true and was measured within the wor
 """
 
 import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -42,8 +42,9 @@ class Pair:
     driver: Callable[[Any, Clock], Device]  # from ports, as the cell has them
     work: Work
     boot_s: float = 5.0  # after which a restarted device must work again
-    late_s: float = 0.05  # of messages; not beyond what the driver was told that its device and line may take
-    unseen: frozenset[str] = frozenset()  # faults that nothing in the protocol can reveal
+    unseen: Mapping[str, str] = field(
+        default_factory=dict
+    )  # faults that nothing in the protocol reveals; why
     delay_s: float = 5.0  # longest time in which work ends, whatever the wire does
 
 
@@ -105,62 +106,53 @@ def arm(settings: dict[str, Any], ports: Any, clock: Clock) -> Device:
     return make_robot(robot, ports, clock, keep_alive_thread=False)
 
 
-RIFTEK = RiftekConfig(base_m=0.080, range_m=0.050, serial_number="17185")
+STALE_S = 0.06  # a stream does not tell its age: the driver is told how late it may be
+RIFTEK = RiftekConfig(base_m=0.080, range_m=0.050, serial_number="17185", stale_s=STALE_S)
 OPTO = LaserConfig(
-    range_m=0.1, range_start_m=0.05, model="ILD1420-100", serial_number="1420100", stale_s=0.02
+    range_m=0.1, range_start_m=0.05, model="ILD1420-100", serial_number="1420100", stale_s=STALE_S
 )
 AMS = AmsConfig(16, serial_number="335001")
 KEYENCE = DlRs1aConfig("IL", zero_m=0.1, towards=True)
-ROBOTIQ = Ft300Config(serial_number="FTD-0417")
+ROBOTIQ = Ft300Config(serial_number="FTD-0417", stale_s=STALE_S)
 LMI = GocatorConfig(0.3, 200.0, job="block")
 WAGO = WagoConfig(20, model="750-337")
 PERIOD_S = 0.5  # of contacts
-LATE_S = 0.015  # within `stale_s`, for which a stream may lie in a converter
-NO_CHECK = frozenset({"corrupt"})  # a flipped bit in a value
-CARRIED = NO_CHECK | {"truncate", "lose-byte"}  # TCP and CAN check and repeat, below the protocol
-NO_LENGTH = NO_CHECK | {"drop", "truncate", "lose-byte", "reorder"}  # a lost digit leaves another number
-RIFTEKS = (
+FRAMED = {"corrupt": "the protocol has no check; TCP and CAN below it have one, which does not pass this on"}
+NO_CHECK = {"corrupt": "the protocol has no check: a flipped bit can leave another value"}
+SWAPPED = NO_CHECK | {"reorder": "the protocol has no check: swapped digits are another number"}
+LOST_DIGIT = "numbers have no fixed width: one that lost a digit is another number"
+NO_WIDTH = SWAPPED | dict.fromkeys(("drop", "truncate", "lose-byte"), LOST_DIGIT)  # bytes come one by one
+TEXT = FRAMED | {"lose-byte": LOST_DIGIT}  # a message comes whole
+RIFTEKS: tuple[tuple[str, Any, Mapping[str, str]], ...] = (
     ("binary", RiftekLaser, NO_CHECK),
-    ("ascii", RiftekAsciiLaser, NO_LENGTH),
-    ("modbus", RiftekModbusLaser, frozenset[str]()),
+    ("ascii", RiftekAsciiLaser, NO_WIDTH),
+    ("modbus", RiftekModbusLaser, {}),
 )
 motion = partial(move_and_read, 1e-3)
 
 PAIRS = [
-    Pair("canopen-402", partial(arm, {}), motion, delay_s=30.0, unseen=CARRIED),
-    Pair("abb-open", partial(arm, ABB | {"serial_number": "14-21858"}), motion, delay_s=60.0, unseen=CARRIED),
-    Pair("igus-irc", partial(arm, IGUS), motion, delay_s=30.0, unseen=CARRIED),
-    Pair("melfa-serial", partial(arm, MELFA_SERIAL), motion, delay_s=30.0, unseen=NO_CHECK),
-    Pair("melfa-tcp", partial(arm, MELFA_TCP), motion, delay_s=30.0, unseen=CARRIED),
-    Pair("ur", partial(arm, UR), motion, delay_s=30.0, unseen=CARRIED),
+    Pair("canopen-402", partial(arm, {}), motion, delay_s=30.0, unseen=FRAMED),
+    Pair("abb-open", partial(arm, ABB | {"serial_number": "14-21858"}), motion, delay_s=60.0, unseen=TEXT),
+    Pair("igus-irc", partial(arm, IGUS), motion, delay_s=30.0, unseen=FRAMED),
+    Pair("melfa-serial", partial(arm, MELFA_SERIAL), motion, delay_s=30.0, unseen=NO_WIDTH),
+    Pair("melfa-tcp", partial(arm, MELFA_TCP), motion, delay_s=30.0, unseen=TEXT),
+    Pair("ur", partial(arm, UR), motion, delay_s=30.0, unseen=FRAMED),
     Pair(
         "optoncdt-1420",
         partial(on, OptoncdtLaser, OPTO),
         partial(measure_range, 6e-5),
-        late_s=LATE_S,
         unseen=NO_CHECK,
     ),
     *(
-        Pair(
-            f"rf60x-{name}",
-            partial(on, make, RIFTEK),
-            partial(measure_range, 1e-5),
-            late_s=LATE_S,
-            unseen=unseen,
-        )
+        Pair(f"rf60x-{name}", partial(on, make, RIFTEK), partial(measure_range, 1e-5), unseen=unseen)
         for name, make, unseen in RIFTEKS
     ),
-    Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=CARRIED),
-    Pair("dl-rs1a", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=NO_CHECK),
-    Pair("ft-300", partial(on, Ft300, ROBOTIQ), measure_force, late_s=LATE_S),
-    Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=CARRIED),
+    Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=FRAMED),
+    Pair("dl-rs1a", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=SWAPPED),
+    Pair("ft-300", partial(on, Ft300, ROBOTIQ), measure_force),
+    Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=FRAMED),
     Pair(
-        "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=CARRIED
+        "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=FRAMED
     ),
-    Pair(
-        "wago-750-337",
-        partial(on, WagoProbe, WAGO),
-        partial(wait_for_touch, PERIOD_S),
-        unseen=CARRIED,
-    ),
+    Pair("wago-750-337", partial(on, WagoProbe, WAGO), partial(wait_for_touch, PERIOD_S), unseen=FRAMED),
 ]

@@ -9,6 +9,7 @@ from tests.conformance.pairs import PAIRS, Pair
 from tests.conformance.rig import Rig
 
 MESSAGE_FAULTS = ("late", "drop", "duplicate", "reorder", "truncate", "corrupt", "lose-byte", "split")
+LATE_S = 0.05
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.kind)
@@ -71,7 +72,7 @@ class TestConformance:
     @pytest.mark.parametrize("fault", MESSAGE_FAULTS)
     def test_no_value_is_wrong_whatever_the_wire_does(self, pair: Pair, fault: str) -> None:
         if fault in pair.unseen:
-            fault = "late"
+            pytest.skip(f"{pair.kind}, {fault}: {pair.unseen[fault]}")
         session(pair, 7, [fault], 0.05)
 
 
@@ -81,7 +82,7 @@ def session(pair: Pair, seed: int, faults: list[str], chance: float) -> None:
     rig.driver.connect()
     for link in rig.links:
         for fault in faults:
-            link.faults.add(fault, pair.late_s if fault == "late" else None, chance=chance)
+            link.faults.add(fault, LATE_S if fault == "late" else None, chance=chance)
     for _ in range(3):
         if not rig.timed_work():
             rig.release()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import RealClock
-from drivers.links.can_bus import PythonCanLink
+from drivers.links.can_bus import PythonCanLink, is_whole
 from drivers.links.ports import RealPorts
 from drivers.links.serial_port import SerialLink
 from drivers.links.tcp import TcpLink
@@ -116,6 +116,15 @@ def test_slcan_carries_frames_and_counts_malformed_lines() -> None:
             while True:
                 link.receive(1.0)
         link.close()
+
+
+def test_no_slcan_line_with_a_lost_or_doubled_byte_is_taken() -> None:
+    for frame in ("t1830\r", "t194101\r", "t1836371200010000\r", "t59484F00600101000000\r"):
+        assert is_whole(frame)
+        assert not is_whole(frame[:-1] + frame)  # the CR between two lines
+        for at in range(1, len(frame) - 1):
+            assert not is_whole(frame[:at] + frame[at + 1 :])
+            assert not is_whole(frame[:at] + frame[at] + frame[at:])
 
 
 def test_unknown_can_interface_is_refused() -> None:
