@@ -4,6 +4,7 @@ Source: RF602 user's manual 1.2.0, pages 12 to 20. Its example of reading parame
 parameter 02h, and it calls 1234 what is 3039h (12345).
 """
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +19,9 @@ CodeArray = NDArray[np.int64]
 FULL_RANGE: Final = 0x4000
 RESULT_NIBBLES: Final = 4
 IDENTITY_NIBBLES: Final = 16
+
+_ASCII_HEAD: Final = re.compile(rb"[0-9]{1,10}(\n[0-9]{1,10}){4}")
+_ASCII_RESULT: Final = re.compile(rb"[0-9]{1,5}")
 
 IDENTIFY, READ, WRITE, FLASH, LATCH, RESULT, STREAM, STOP = range(1, 9)
 LASER_ON, CONTROL, AVERAGES, PERIOD_LOW, PERIOD_HIGH, HOLD = 0x00, 0x02, 0x06, 0x08, 0x09, 0x10
@@ -84,15 +88,14 @@ def parse_head(data: bytes) -> Head:
 
 def parse_ascii_head(line: bytes) -> Head:
     """Answer to V: five numbers with LF between them. Raises FrameError."""
-    try:
-        return Head(*(int(part) for part in line.split(b"\n")))
-    except (ValueError, TypeError):
-        raise FrameError(f"Laser answered V with {line!r}", "Check baud rate, parity and protocol") from None
+    if not _ASCII_HEAD.fullmatch(line):
+        raise FrameError(f"Laser answered V with {line!r}", "Check baud rate, parity and protocol")
+    return Head(*(int(part) for part in line.split(b"\n")))
 
 
 def parse_ascii_result(line: bytes) -> int:
     """Answer to R0, a number of increments. Raises FrameError."""
-    if not line.isdigit() or int(line) > 0xFFFF:
+    if not _ASCII_RESULT.fullmatch(line) or int(line) > 0xFFFF:
         raise FrameError(f"Laser answered R0 with {line!r}", "Check baud rate, parity and protocol")
     return int(line)
 
