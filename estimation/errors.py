@@ -44,6 +44,10 @@ class DegenerateGeometry(EstimationError):
     """Points or poses that leave a freedom open."""
 
 
+class ContradictingData(EstimationError):
+    """More measurements contradict the others than may be left out."""
+
+
 class FrameMismatch(EstimationError):
     """Transforms composed where frames do not meet."""
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimation.chart import Chart, Point, solved
-from estimation.errors import EstimationError
+from estimation.errors import ContradictingData, EstimationError
 from estimation.model import Rows
 from estimation.transform import FloatArray
 
@@ -55,7 +55,8 @@ def _solve(
         normal = whitened.T @ whitened + np.diag(prior)
         gradient = whitened.T @ residual + prior * z
         newton = solved(normal, -gradient)
-        expected = float(-gradient @ newton)  # the undamped step squared, in posterior sigmas
+        # Never below zero but for rounding, along freedoms that are next to open.
+        expected = max(float(-gradient @ newton), 0.0)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
             return (z, rows, jacobian), tuple(costs), "step and gradient small"
@@ -85,7 +86,7 @@ def _solve(
         # Nielsen's rule: the better the linear model did, the less damping; a good step needs none.
         damping = 0.0 if gain > 0.9 else damping * max(1 / 3, 1 - (2 * gain - 1) ** 3)
         growth = 2.0
-        last_step = float(np.sqrt(step @ normal @ step))
+        last_step = float(np.sqrt(np.maximum(step @ normal @ step, 0.0)))
         z, rows, jacobian, residual, cost = trial, trial_rows, trial_jacobian, trial_residual, trial_cost
         costs.append(cost)
     raise EstimationError(
@@ -164,7 +165,7 @@ def gated(chart: Chart, z: FloatArray, robust: Robust, level: float, tolerance: 
         worst = int(np.argmax(np.where(used, squared, -1.0)))
         used[worst] = squared[worst] <= limit
         if np.sum(~used) > allowed:
-            raise EstimationError(
+            raise ContradictingData(
                 f"More than {allowed} of {count} measurements contradict the others",
                 "Look for a moved object, a wrong feature or a loose sensor, then measure again",
             )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimation.belief import Belief, Value
 from estimation.chart import Chart
-from estimation.errors import DegenerateGeometry, EstimationError
+from estimation.errors import ContradictingData, DegenerateGeometry, EstimationError
 from estimation.fitting import reweighted
 from estimation.model import Model, values_of
 from estimation.observability import RankReport
@@ -206,9 +206,10 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
     except DegenerateGeometry as error:
         seen = tuple(problem.diagnose(values_of(start), None))
         return _refused(problem, (*sight, *seen), Cause.UNDETERMINED, error)
+    except ContradictingData as error:
+        return _refused(problem, sight, Cause.CLUSTERED_OUTLIERS, error)
     except EstimationError as error:
-        cause = Cause.CLUSTERED_OUTLIERS if "contradict" in error.problem else Cause.NO_SOLUTION
-        return _refused(problem, sight, cause, error)
+        return _refused(problem, sight, Cause.NO_SOLUTION, error)
     findings = [*sight, *_diagnosed(found)]
     if found.rejected.any():
         findings += problem.diagnose(values_of(found.belief), found.rejected)

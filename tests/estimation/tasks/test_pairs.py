@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimation.model import pose_of
+from estimation.model import pose_of, values_of
 from estimation.solver import predicted_belief
 from estimation.statistics import chi_square_two_sided
 from estimation.tasks import closed_forms
 from estimation.tasks.findings import Cause, Status
+from estimation.tasks.motion import Joints
 from estimation.tasks.pairs import PosePairs
 from estimation.tasks.solve import solve
 from estimation.transform import FloatArray
@@ -30,6 +31,7 @@ from tests.estimation.tasks.pair_cells import (
     views,
 )
 from tests.estimation.tasks.test_tasks import causes, normalised_error
+from tests.estimation.twin import arm
 
 Change = Callable[[FloatArray], FloatArray]
 
@@ -219,6 +221,35 @@ def test_a_pose_that_was_not_waited_for_is_left_out() -> None:
     assert np.flatnonzero(result.rejected).tolist() == list(range(24, 30))
     error, freedoms = normalised_error(result, cell.truth)
     assert error < freedoms + 5.0 * np.sqrt(2.0 * freedoms)
+
+
+def test_poses_in_a_plane_are_flagged_and_solved() -> None:
+    rng = np.random.default_rng(11)
+    cell = pose_pairs(rng)
+    poses = cell.problem.motion.base_T_flange.copy()
+    poses[:, 2, 3] = 0.5
+    seen = np.linalg.inv(poses @ cell.truth["sensor"]) @ cell.truth["object"]
+    motion = replace(cell.problem.motion, base_T_flange=poses)
+    result = solve(replace(cell.problem, motion=motion, sensor_T_object=noisy(rng, seen)))
+    assert result.status is Status.FLAGGED
+    assert causes(result) == {Cause.COPLANAR_POSES}
+    error, freedoms = normalised_error(result, cell.truth)
+    assert error < freedoms + 5.0 * np.sqrt(2.0 * freedoms)
+
+
+@pytest.mark.parametrize("make", [pose_pairs, pose_pairs_beside, move_pairs])
+def test_derivatives_by_the_geometry_of_an_arm(make: Callable[..., Any]) -> None:
+    rng = np.random.default_rng(12)
+    joints = Joints(arm(), rng.uniform(-1.0, 1.0, (5, 6)), std_rad=1e-4, kinematics_std=1e-3)
+    problem = replace(make(rng, 5).problem, motion=joints)
+    values = values_of(problem.belief().started(problem.starts()[0]))
+    model = problem.model().weighed_at(values)
+    analytic = model.rows(values).jacobian["kinematics"]
+    for column in range(analytic.shape[1]):
+        step = 1e-6 * np.eye(analytic.shape[1])[column]
+        sides = [model.rows({**values, "kinematics": sign * step}).residual_m for sign in (1.0, -1.0)]
+        numeric = (sides[0] - sides[1]) / 2e-6
+        assert analytic[:, column] == pytest.approx(numeric, abs=1e-6 * np.abs(analytic).max())
 
 
 def test_moves_that_share_a_pose_share_its_error() -> None:

@@ -181,6 +181,41 @@ def test_one_gross_outlier_is_left_out_and_flagged() -> None:
     assert error < freedoms + 5.0 * np.sqrt(2.0 * freedoms)
 
 
+@pytest.mark.filterwarnings("error")
+def test_readings_of_a_plate_that_was_moved_meanwhile_are_refused() -> None:
+    cell = laser_cell()
+    reading = cell.problem.reading_m.copy()
+    reading[::5] += 3e-3
+    result = solve(replace(cell.problem, reading_m=reading))
+    assert result.status is Status.REFUSED
+    assert causes(result) == {Cause.CLUSTERED_OUTLIERS}
+
+
+@pytest.mark.filterwarnings("error")
+def test_faces_that_are_parallel_to_one_line_leave_the_part_to_slide() -> None:
+    problem = point_laser_planes(np.random.default_rng(3)).problem
+    rows = np.flatnonzero(np.isin(problem.face_index, [0, 2]))
+    result = solve(
+        replace(
+            problem,
+            motion=replace(problem.motion, base_T_flange=problem.motion.base_T_flange[rows]),
+            reading_m=problem.reading_m[rows],
+            face_index=problem.face_index[rows],
+        )
+    )
+    assert result.status is Status.REFUSED
+    assert causes(result) == {Cause.SYMMETRIC}
+
+
+@pytest.mark.filterwarnings("error")
+def test_markers_on_a_line_leave_the_object_to_turn() -> None:
+    problem = camera_hand_eye(np.random.default_rng(3)).problem
+    line = np.outer(np.linspace(-1.0, 1.0, len(problem.markers_m)), [0.06, 0.03, 0.0])
+    result = solve(replace(problem, markers_m=line))
+    assert result.status is Status.REFUSED
+    assert causes(result) == {Cause.COLLINEAR}
+
+
 def test_poses_the_wrong_way_round_are_recognised() -> None:
     problem = camera_hand_eye(np.random.default_rng(3)).problem
     inverse = np.linalg.inv(problem.motion.base_T_flange)
