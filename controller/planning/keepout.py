@@ -18,6 +18,8 @@ BENCH_M: Final = 0.02  # least height of any point of the tool above the bench, 
 COLUMN_RADIUS_M: Final = 0.11  # the arm's own base, as high as
 COLUMN_HEIGHT_M: Final = 0.40
 ELBOW_HEIGHT_M: Final = 0.20
+FOREARM_RADIUS_M: Final = 0.045  # from the elbow to the wrist, about the arm's own line
+_FOLDED_RAD: Final = np.radians(60.0)  # of axis 5: with less, nothing on the flange comes near the forearm
 CLEARANCE_M: Final = 0.008
 SAMPLES: Final = 12  # along one joint path
 
@@ -36,6 +38,7 @@ class ToolOutline:
     points_m: FloatArray  # (k, 3)
     radius_m: FloatArray  # (k,)
     stylus: BoolArray  # (k,) the points that may come near what they touch
+    sensors: BoolArray  # (k,) laser, probe and stylus, without bracket and wrist
 
     @staticmethod
     def of(flange_T_laser: Transform, flange_T_probe: Transform, wrist_m: float) -> "ToolOutline":
@@ -54,7 +57,8 @@ class ToolOutline:
                 np.full(len(stylus), 0.0015),
             ]
         )
-        return ToolOutline(points, radius, np.arange(len(points)) >= len(points) - len(stylus))
+        place, heads, stem = np.arange(len(points)), len(laser) + len(body), len(points) - len(stylus)
+        return ToolOutline(points, radius, place >= stem, (place < heads) | (place >= stem))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +100,8 @@ class Keepout:
         across = points[:, 0] ** 2 + points[:, 1] ** 2 < (COLUMN_RADIUS_M + radius) ** 2
         beside: BoolArray = np.logical_and(across, height < COLUMN_HEIGHT_M)
         free &= ~beside.any(axis=1)
+        folded = np.flatnonzero(free & (np.abs(joints[:, 4]) > _FOLDED_RAD))
+        free[folded] = self._beside_forearm(joints[folded], flange[folded], points[folded])
         for box in self.boxes:
             which = ~self.outline.stylus if box.name == touching else slice(None)
             room = (radius[which] + CLEARANCE_M)[:, None]
@@ -109,6 +115,23 @@ class Keepout:
             free[near[inside.any(axis=1)]] = False
         shaped: BoolArray = free.reshape(shape)
         return shaped
+
+    def _beside_forearm(self, joints: FloatArray, flange: FloatArray, points: FloatArray) -> BoolArray:
+        """Whether the sensors' points (m, 3, k) are clear of the arm's own forearm."""
+        angle, turn = self.arm.theta[1] + joints[:, 1], self.arm.theta[0] + joints[:, 0]
+        out = self.arm.a[1] * np.cos(angle)
+        rise = self.arm.d[0] + self.arm.a[1] * np.sin(angle)
+        elbow = np.stack([out * np.cos(turn), out * np.sin(turn), rise], axis=1)
+        wrist = flange[:, :3, 3] - self.arm.d[-1] * flange[:, :3, 2]
+        along = elbow - wrist
+        tool = self.outline.sensors
+        offset = points[:, :, tool] - wrist[:, :, None]
+        share = np.clip(np.einsum("mi,mik->mk", along, offset) / (along**2).sum(axis=1)[:, None], 0.0, 1.0)
+        apart = np.linalg.norm(offset - along[:, :, None] * share[:, None], axis=1)
+        clear: BoolArray = np.all(
+            apart > FOREARM_RADIUS_M + CLEARANCE_M + self.outline.radius_m[tool], axis=1
+        )
+        return clear
 
     @cached_property
     def _reach_m(self) -> float:
