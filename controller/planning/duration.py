@@ -9,7 +9,7 @@ from controller.cellfile import Cell
 from controller.planning.steps import Step
 from drivers.robots.motion_profile import synchronize
 
-POSITION_S: Final = 0.3  # from the end of a motion until the drives say so; half of what simulated jobs show
+POSITION_S: Final = 0.3  # from the end of a motion until the drives say so
 WINDOW_S: Final = 0.1  # of readings together, beside the settling
 
 

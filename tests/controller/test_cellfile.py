@@ -252,13 +252,13 @@ def test_a_cell_cannot_be_changed(good: Cell) -> None:
 
 def test_feasibility_is_asked_only_about_a_cell_in_order(folder: Path) -> None:
     def feasibility(cell: Cell) -> list[Mistake]:
-        problem = "best reachable 0.19 mm; kinematics contribute 49 %"
+        problem = "best reachable 0.21 mm; range noise contributes 34 %"
         return [cell.mistake_at(("job", "phases", 3, "limit"), problem, "raise the limit")]
 
     write(folder, GOOD_TEXT)
     (mistake,) = check_cell(folder, feasibility)
     assert mistake.line == line_with(GOOD_TEXT, "limit", after='name = "localize"')
-    assert 'job.phases[localize].limit = "0.40 mm": best reachable 0.19 mm' in str(mistake)
+    assert 'job.phases[localize].limit = "0.40 mm": best reachable 0.21 mm' in str(mistake)
     with pytest.raises(CellFileMistakes, match="best reachable"):
         load_cell(folder, feasibility)
     write(folder, edited("readings = 3 ", "readings = 0 "))

@@ -44,6 +44,22 @@ def ball(centre: FloatArray, radius_m: float) -> fcl.CollisionObject:
     return fcl.CollisionObject(fcl.Sphere(radius_m), fcl.Transform(centre))
 
 
+def sensors(cell: Cell, base_T_flange: FloatArray) -> dict[str, fcl.CollisionObject]:
+    """What the flange carries."""
+    laser = base_T_flange @ cell.laser.mount.transform().matrix
+    probe = base_T_flange @ cell.probe.mount.transform().matrix
+    tip, stem = probe[:3, 3], probe[:3, 3] - 0.045 * probe[:3, 2]
+    return {
+        "laser": box(laser, np.array([-0.015, -0.023, -0.04]), np.array([0.015, 0.023, -0.0005])),
+        "stylus": rod(tip, stem, cell.probe.ball_radius_m),
+    }
+
+
+def forearm(base_T_links: FloatArray) -> fcl.CollisionObject:
+    """Of `frames`."""
+    return rod(base_T_links[3, :3, 3], base_T_links[4, :3, 3], 0.04)
+
+
 def overlaps(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
     return bool(fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()))
 
@@ -76,18 +92,9 @@ class Standing:
     def collisions(self, joints_rad: FloatArray) -> list[str]:
         """Pairs that overlap at a posture (6,): the arm with what stands there, and tool with arm."""
         links = frames(joints_rad)
-        places, flange = links[:, :3, 3], links[-1]
-        laser = flange @ self.cell.laser.mount.transform().matrix
-        probe = flange @ self.cell.probe.mount.transform().matrix
-        tip, stem = probe[:3, 3], probe[:3, 3] - 0.045 * probe[:3, 2]
-        tool = {
-            "laser": box(laser, np.array([-0.015, -0.023, -0.04]), np.array([0.015, 0.023, -0.0005])),
-            "stylus": rod(tip, stem, self.cell.probe.ball_radius_m),
-        }
-        arm = {
-            "upper arm": rod(places[1], places[2], 0.045),
-            "forearm": rod(places[3], places[4], 0.04),
-        }
+        places = links[:, :3, 3]
+        tool = sensors(self.cell, links[-1])
+        arm = {"upper arm": rod(places[1], places[2], 0.045), "forearm": forearm(links)}
         wrist = {"wrist": rod(places[5], places[6], 0.035)}
         column = box(np.eye(4), np.array([-0.08, -0.08, 0.0]), np.array([0.08, 0.08, 0.2]))
         found = [

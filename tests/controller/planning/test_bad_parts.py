@@ -1,8 +1,13 @@
 """Parts that cannot be planned for: one sentence each, with what was seen and what to do."""
 
 import re
+import subprocess
+import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 import trimesh
@@ -44,6 +49,25 @@ FAR = edit(
 )
 
 
+@pytest.fixture
+def _importer_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saves loading its libraries anew for every part; the process itself is tested with the reader."""
+
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+        monkeypatch.setattr(sys, "argv", command[2:])
+        with redirect_stderr(StringIO()) as said:
+            try:
+                run_path(command[2], run_name="__main__")
+            except SystemExit as ended:
+                code = int(ended.code or 0)
+            except ValueError:  # what a broken mesh ends in; a process would end with 1
+                code = 1
+        return subprocess.CompletedProcess(command, code, b"", said.getvalue().encode())
+
+    monkeypatch.setattr(subprocess, "run", run)
+
+
+@pytest.mark.usefixtures("_importer_in_this_process")
 @pytest.mark.parametrize(
     ("damage", "said"),
     [

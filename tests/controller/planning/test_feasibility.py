@@ -6,7 +6,8 @@ import pytest
 
 from controller.cellfile import Cell, check_cell, load_cell
 from controller.faults import GateHeld
-from controller.planning.feasibility import feasibility, limit_mistakes, refuse_impossible_limits
+from controller.planning.feasibility import Reachable, feasibility, limit_mistakes, refuse_impossible_limits
+from controller.planning.plan import GatedPrediction
 from tests.controller.planning.planned import CELL
 
 
@@ -33,10 +34,25 @@ def test_a_limit_out_of_reach_is_refused_with_the_best_and_its_source(tight: Pat
     with pytest.raises(GateHeld) as held:
         refuse_impossible_limits(load_cell(tight))
     assert held.value.phase == "localize"
-    assert "best reachable 0.2" in held.value.problem or "best reachable 0.19" in held.value.problem
-    assert "limit 0.08 mm" in held.value.problem
-    assert "kinematics" in held.value.problem
-    assert "calibrate the arm's kinematics" in held.value.remedy
+    assert "best reachable 0.21 mm, limit 0.08 mm" in held.value.problem
+    assert "dominated by localize range noise" in held.value.problem
+    assert "use a laser with less noise" in held.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("source", "cure"),
+    [
+        ("kinematics", "calibrate the arm's kinematics and declare the smaller uncertainties"),
+        ("laser scale", "have the laser's scale certified more closely"),
+        ("hand-eye range noise", "allow more measurements, or use a laser with less noise"),
+        ("plate place", "reduce plate place"),
+    ],
+)
+def test_the_remedy_is_for_the_source_that_dominates(source: str, cure: str) -> None:
+    best = GatedPrediction("corner", 2e-4, {source: 0.5, "part form": 0.3, "part place": 0.2})
+    reachable = Reachable("localize", 3, best, 1e-4, 60)
+    assert reachable.problem.endswith(f"dominated by {source}, 50% of the variance")
+    assert reachable.remedy == f"raise the limit to 0.21 mm, or {cure}"
 
 
 def test_the_mistake_names_the_line_of_the_limit(tight: Path) -> None:
