@@ -53,13 +53,14 @@ class DlRs1a(PolledRange):
             link, clock, name="Gauge unit", worst_answer_s=WORST_ANSWER_S, on_resync=self._after_failure
         )
         self._opened = 0
+        self._width = 0  # of a value, in characters: an amplifier keeps it, so that a lost digit shows
 
     def connect(self) -> Identity:
         """Compare the number of amplifiers, look at the error bits, take one value.
 
         Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch.
         """
-        self._connected = False
+        self._connected, self._width = False, 0
         self._link.reopen()
         self._opened += 1
         self._line.step.reset()
@@ -89,8 +90,10 @@ class DlRs1a(PolledRange):
 
     def read_raw(self) -> tuple[float | None, float]:
         """The raw value in metres, and when it came. Raises DeviceError, DeviceTimeout, FrameError."""
-        value = codec.parse_value(self._item(self._raw))
-        return value, self._line.received_s
+        line = self._line.ask(self._raw, self._accept_value, self.period_s)
+        data = codec.parse_item(line, self._raw)
+        self._width = len(data)
+        return codec.parse_value(data), self._line.received_s
 
     def _ask(self) -> Answer:
         value_m, received_s = self.read_raw()
@@ -102,6 +105,15 @@ class DlRs1a(PolledRange):
     def _item(self, request: bytes) -> str:
         line = self._line.ask(request, lambda line: _accept(line, request), self.period_s)
         return codec.parse_item(line, request)
+
+    def _accept_value(self, line: bytes) -> None:
+        _accept(line, self._raw)
+        data = line.rpartition(b",")[2]
+        if line.startswith(self._raw) and self._width not in (0, len(data)):
+            raise FrameError(
+                f"Gauge unit sent {data!r}, a value of {len(data)} characters after one of {self._width}",
+                "Check baud rate, parity and cable",
+            )
 
     def _count_amplifiers(self) -> None:
         expected = self._config.amplifiers

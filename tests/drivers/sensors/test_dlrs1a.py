@@ -97,6 +97,17 @@ def test_position_of_a_gauge() -> None:
     assert bench.measure() == pytest.approx(0.0050001, abs=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_lost_digit_is_found_by_the_width_of_the_value(seed: int) -> None:
+    bench = Bench(GT2, GAUGE, 0.0050001)
+    bench.gauge.connect()
+    bench.link.faults.reseed(seed)
+    bench.link.faults.add("lose-byte", chance=0.1)
+    for _ in range(5):
+        with contextlib.suppress(FrameError, DeviceTimeout, IdentityMismatch):
+            assert bench.measure(3) == pytest.approx(0.0050001, abs=1e-9)
+
+
 def test_every_value_was_measured_after_the_window_began(laser: Bench) -> None:
     laser.target.m, laser.target.m_s = 0.09, 1e-3
     laser.clock.sleep(1.0)
