@@ -1,5 +1,6 @@
 """The arm: its geometry, and the keys that every robot has."""
 
+from collections.abc import Sequence
 from math import radians
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -59,6 +60,38 @@ class Joint(Table):
         return value
 
 
+def free_parameters(joints: Sequence[Joint]) -> tuple[tuple[int, str], ...]:
+    """(joint index, parameter name) of the uncertain parameters, from the base outwards."""
+    return tuple(
+        (index, name)
+        for index, joint in enumerate(joints)
+        for name in PARAMETER_NAMES
+        if joint.parameter_u(name) > 0
+    )
+
+
+def arm_model(joints: Sequence[Joint]) -> "ArmModel":
+    """Nominal kinematics, with the uncertain parameters free."""
+    import numpy as np
+
+    from estimation.kinematics import ArmModel
+
+    columns = {name: np.array([joint.parameter(name) for joint in joints]) for name in PARAMETER_NAMES}
+    return ArmModel(
+        **columns,
+        lower_rad=np.array([joint.limits_rad[0] for joint in joints]),
+        upper_rad=np.array([joint.limits_rad[1] for joint in joints]),
+        free=free_parameters(joints),
+    )
+
+
+def parameter_u(joints: Sequence[Joint]) -> "FloatArray":
+    """Standard uncertainty (k,) of each free parameter, in the order of `free_parameters`; m or rad."""
+    import numpy as np
+
+    return np.array([joints[index].parameter_u(name) for index, name in free_parameters(joints)])
+
+
 class Arm(Table):
     """The arm, its link and its geometry."""
 
@@ -97,31 +130,12 @@ class Arm(Table):
 
     def free_parameters(self) -> tuple[tuple[int, str], ...]:
         """(joint index, parameter name) of the uncertain parameters, from the base outwards."""
-        return tuple(
-            (index, name)
-            for index, joint in enumerate(self.joints)
-            for name in PARAMETER_NAMES
-            if joint.parameter_u(name) > 0
-        )
+        return free_parameters(self.joints)
 
     def arm_model(self) -> "ArmModel":
         """Nominal kinematics, with the uncertain parameters free."""
-        import numpy as np
-
-        from estimation.kinematics import ArmModel
-
-        columns = {
-            name: np.array([joint.parameter(name) for joint in self.joints]) for name in PARAMETER_NAMES
-        }
-        return ArmModel(
-            **columns,
-            lower_rad=np.array([joint.limits_rad[0] for joint in self.joints]),
-            upper_rad=np.array([joint.limits_rad[1] for joint in self.joints]),
-            free=self.free_parameters(),
-        )
+        return arm_model(self.joints)
 
     def parameter_u(self) -> "FloatArray":
         """Standard uncertainty (k,) of each free parameter, in the order of `free_parameters`; m or rad."""
-        import numpy as np
-
-        return np.array([self.joints[index].parameter_u(name) for index, name in self.free_parameters()])
+        return parameter_u(self.joints)

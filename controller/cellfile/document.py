@@ -41,7 +41,7 @@ def document() -> str:
     tables = "".join(
         section
         for name, node in schema()["properties"].items()
-        for section in _sections(f"[{name}]", resolved(node))
+        for section in _sections(f"[{name}]", resolved(node, schema()))
     )
     return f"{INTRODUCTION}{units}{tables}"
 
@@ -53,7 +53,7 @@ def _sections(header: str, node: dict[str, Any]) -> Iterator[str]:
         return
     tags = node["discriminator"]
     for tag, reference in tags["mapping"].items():
-        first, *others = _tables(header, resolved({"$ref": reference}))
+        first, *others = _tables(header, resolved({"$ref": reference}, schema()))
         yield first.replace(f"`{header}`", f'`{header}` with `{tags["propertyName"]} = "{tag}"`', 1)
         yield from others
 
@@ -64,9 +64,9 @@ def _tables(header: str, node: dict[str, Any]) -> Iterator[str]:
     rows = ""
     for key, value in node["properties"].items():
         below = header.strip("[]") + f".{key}"
-        if (table := resolved(value)).get("type") == "object":
+        if (table := resolved(value, schema())).get("type") == "object":
             inner.append((f"[{below}]", table))
-        elif (table := resolved(value.get("items", {}))).get("type") == "object" or "oneOf" in table:
+        elif (table := resolved(value.get("items", {}), schema())) and {"oneOf", "properties"} & set(table):
             inner.append((f"[[{below}]]", table))
         else:
             default = "required" if key in required else _default(value)
@@ -94,7 +94,7 @@ def _default(node: dict[str, Any]) -> str:
 
 def _type(node: dict[str, Any]) -> str:
     """The kind of value and its bounds, in words."""
-    node = resolved(node["anyOf"][0]) if "anyOf" in node else resolved(node)
+    node = resolved(node["anyOf"][0], schema()) if "anyOf" in node else resolved(node, schema())
     if "enum" in node or "const" in node:
         return " or ".join(f"`{shown(choice)}`" for choice in node.get("enum", [node.get("const")]))
     if "prefixItems" in node:

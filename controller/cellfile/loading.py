@@ -4,6 +4,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ from controller.cellfile.consistency import find_inconsistencies
 from controller.cellfile.geometry import check_geometry
 from controller.cellfile.lines import LineIndex, index_lines, without
 from controller.cellfile.mistakes import CellFileMistakes, Mistake, Source
-from controller.cellfile.translate import mistakes_of
+from controller.cellfile.translate import mistakes_of, schema
 
 FILE_NAME: Final = "cell.toml"
 MAX_FILE_BYTES: Final = 1_000_000
@@ -161,5 +162,5 @@ def _validate(source: Source) -> tuple[Cell | None, dict[str, Any], list[Mistake
             for name, field in Cell.model_fields.items()
             if (field.alias or name) not in faulty and field.annotation is not None
         }
-        return None, sections, mistakes_of(errors, source)
+        return None, sections, mistakes_of(errors, replace(source, schema=schema()))
     return cell, {name: getattr(cell, name) for name in Cell.model_fields}, []

@@ -51,12 +51,13 @@ class CellFileMistakes(CellFileError):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The text that a cell was read from: turns a key path into file, line and value."""
+    """The text that a cell or data set was read from: turns a key path into file, line and value."""
 
     file: str
     text: str = field(repr=False)
     index: LineIndex = field(repr=False)
     data: dict[str, Any] = field(repr=False)
+    schema: dict[str, Any] = field(repr=False, default_factory=dict)  # JSON schema that the data shall keep
 
     def mistake(self, path: KeyPath, problem: str, remedy: str = "") -> Mistake:
         """A mistake at a key, such as ("job", "phases", 2, "limit")."""

@@ -35,10 +35,10 @@ def schema() -> dict[str, Any]:
     return Cell.model_json_schema(by_alias=True)
 
 
-def resolved(node: dict[str, Any]) -> dict[str, Any]:
-    """The schema node that a reference points to."""
+def resolved(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
+    """The node of the schema `root` that a reference points to."""
     if "$ref" in node:
-        target: dict[str, Any] = schema()["$defs"][node["$ref"].rsplit("/", 1)[1]]
+        target: dict[str, Any] = root["$defs"][node["$ref"].rsplit("/", 1)[1]]
         return target
     return node
 
@@ -123,25 +123,26 @@ def _path_in_file(location: tuple[int | str, ...], source: Source) -> KeyPath:
 
 def _node_at(path: KeyPath, source: Source) -> dict[str, Any]:
     """Schema of the value at a path of the file; {} if there is none."""
-    node: dict[str, Any] = schema()
+    node: dict[str, Any] = source.schema
     for position, step in enumerate(path):
         if isinstance(step, int):
             items = node.get("prefixItems")
-            node = resolved((items[step] if step < len(items) else {}) if items else node.get("items", {}))
+            element = (items[step] if step < len(items) else {}) if items else node.get("items", {})
+            node = resolved(element, source.schema)
         else:
-            node = resolved(node.get("properties", {}).get(step, {}))
+            node = resolved(node.get("properties", {}).get(step, {}), source.schema)
         if "oneOf" in node:
-            node = _chosen(node, source.value(path[: position + 1]))
+            node = _chosen(node, source.value(path[: position + 1]), source.schema)
         if "anyOf" in node:  # optional
-            node = resolved(node["anyOf"][0])
+            node = resolved(node["anyOf"][0], source.schema)
     return node
 
 
-def _chosen(union: dict[str, Any], table: object) -> dict[str, Any]:
+def _chosen(union: dict[str, Any], table: object, root: dict[str, Any]) -> dict[str, Any]:
     """Schema of the table that `kind` or `driver` chooses; the union itself if they choose none."""
     tags, mapping = union["discriminator"], union["discriminator"]["mapping"]
     tag = table.get(tags["propertyName"]) if isinstance(table, dict) else None
-    return resolved({"$ref": mapping[tag]}) if isinstance(tag, str) and tag in mapping else union
+    return resolved({"$ref": mapping[tag]}, root) if isinstance(tag, str) and tag in mapping else union
 
 
 def _keys(path: KeyPath, source: Source) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from controller.console import options
+from controller.console.estimate import estimate
 from controller.console.exit_codes import ExitCode
 from controller.console.fit import fit
 from controller.console.options import CellArgument, JsonOption, SocketOption, StateOption
@@ -174,5 +175,5 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands above."""
     app.command()(demo)
     app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(simulate)
-    for command in (check, plan, serve, verify, fit):
+    for command in (check, plan, serve, verify, fit, estimate):
         app.command()(command)

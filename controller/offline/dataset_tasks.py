@@ -1,0 +1,285 @@
+"""The data set of each calibration task: what it adds to the common parts, and the problem it becomes."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from controller.cellfile.mistakes import nearest
+from controller.cellfile.tables import Name
+from controller.offline.dataset_parts import (
+    Index,
+    Joints,
+    Noise,
+    Part,
+    Point,
+    Poses,
+    Prior,
+    SharedErrors,
+    Std,
+    Units,
+    Wrong,
+    beyond,
+    unequal,
+)
+from controller.quantities import Length
+from estimation.surfaces import plane
+from estimation.tasks.registry import TASKS
+from estimation.tasks.sensing import SensorTask
+
+Radius = Annotated[Length, Field(gt=0, le=5)]
+
+
+class Dataset(Part):
+    """What every data set begins with."""
+
+    truecell_dataset: Literal[1]
+    """Version of this form."""
+    task: str
+    """Name of the task."""
+    about: str = ""
+    """For people."""
+    units: Units
+
+    def wrong(self) -> Iterator[Wrong]:
+        """What single values do not show, each with its place."""
+        return iter(())
+
+
+class SensorDataset(Dataset):
+    """Readings of a sensor at many poses of an arm."""
+
+    motion: Annotated[Poses | Joints, Field(discriminator="kind")]
+    prior: Prior | None = None
+    shared_errors: SharedErrors = SharedErrors()
+
+    @property
+    def kind(self) -> type[SensorTask]:
+        """The type of the problem."""
+        return TASKS[self.task]
+
+    def problem(self) -> SensorTask:
+        """The problem for `estimation.tasks.solve.solve`, in SI."""
+        return self.kind(**self.arguments())
+
+    def arguments(self) -> dict[str, Any]:
+        """Of the problem."""
+        shared, prior = self.shared_errors, self.prior
+        known: dict[str, Any] = {}
+        if prior is not None:
+            std = [
+                prior.std.rotation_rad if name.startswith("r") else prior.std.position_m
+                for name in self.kind.mount_freedoms
+            ]
+            known = {"mount": prior.mount(self.units), "mount_std": np.array(std)}
+        return {
+            "motion": self.motion.motion(self.units),
+            "scale_std": shared.scale,
+            "offset_std_m": shared.offset_m,
+            "consider": shared.consider,
+            **known,
+        }
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from self.motion.wrong()
+        near, sensor = "base" if self.kind.beside else "flange", self.kind.sensor
+        if self.prior is not None:
+            for key, wanted in (("target", near), ("source", sensor)):
+                if getattr(self.prior, key) != wanted:
+                    yield ("prior", key), "another frame", f'write "{wanted}": the prior is {near}_T_{sensor}'
+        shared = self.shared_errors
+        known = [f"{sensor}.scale"] * (shared.scale > 0) + [f"{sensor}.offset"] * (shared.offset_m > 0)
+        for place, name in enumerate(shared.consider):
+            if name not in known:
+                yield ("shared_errors", "consider", place), "not a shared error here", nearest(name, known)
+
+
+class _PointLaser(SensorDataset):
+    readings: tuple[float, ...]
+    """Distances along the beam, one for each pose."""
+    noise_m: Noise
+    """Standard deviation of a reading."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {
+            **super().arguments(),
+            "reading_m": self.units.lengths(self.readings),
+            "std_m": self.noise_m,
+        }
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from unequal(("readings",), len(self.readings), len(self.motion), "pose")
+
+
+class _ProfileLaser(SensorDataset):
+    points: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+    """y and z of points in the frame of the sensor."""
+    pose: tuple[Index, ...]
+    """The pose of each point, counted from 0."""
+    noise_m: tuple[Noise, Noise]
+    """Standard deviation of a point along y and z."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {
+            **super().arguments(),
+            "profile_m": self.units.lengths(self.points),
+            "pose_index": np.array(self.pose, dtype=np.intp),
+            "std_m": self.noise_m,
+        }
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from unequal(("pose",), len(self.pose), len(self.points), "point")
+        yield from beyond(("pose",), self.pose, len(self.motion), "poses")
+
+
+class _Touches(SensorDataset):
+    noise_m: Noise
+    """Standard deviation of a touch along the normal."""
+    ball_radius_m: Radius
+    """Radius of the ball of the stylus."""
+    ball_radius_u_m: Std = 0.0
+    """Standard uncertainty of it, pre-travel included."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {
+            **super().arguments(),
+            "std_m": self.noise_m,
+            "ball_radius_m": self.ball_radius_m,
+            "ball_std_m": self.ball_radius_u_m,
+        }
+
+
+class _OnSphere(SensorDataset):
+    radius_m: Radius | None = None
+    """Radius of the sphere; estimated where it is left out."""
+    radius_u_m: Std = 0.0
+    """Standard uncertainty of its certificate."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {**super().arguments(), "radius_m": self.radius_m, "radius_std_m": self.radius_u_m}
+
+
+class Face(Part):
+    """A plane face of the part, in the frame of the part."""
+
+    name: Name
+    point: Point
+    """Any point on it."""
+    normal: Point
+    """Out of the material, of length 1."""
+
+
+class _OnPlanes(SensorDataset):
+    faces: Annotated[tuple[Face, ...], Field(min_length=3)]
+    """Faces of the part."""
+    face: tuple[str, ...]
+    """Name of the face of each reading."""
+    form_u_m: Std = 0.0
+    """Standard deviation by which a face lies off as a whole."""
+
+    def arguments(self) -> dict[str, Any]:
+        names = [face.name for face in self.faces]
+        return {
+            **super().arguments(),
+            "faces": tuple(
+                plane(face.name, self.units.lengths(face.point), np.array(face.normal)) for face in self.faces
+            ),
+            "face_index": np.array([names.index(name) for name in self.face], dtype=np.intp),
+            "form_std_m": self.form_u_m,
+        }
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from unequal(("face",), len(self.face), len(self.motion), "pose")
+        yield from unknown_names(("face",), self.face, [face.name for face in self.faces])
+        for place, face in enumerate(self.faces):
+            yield from not_unit(("faces", place, "normal"), face.normal)
+
+
+def unknown_names(path: tuple[str, ...], used: tuple[str, ...], known: list[str]) -> Iterator[Wrong]:
+    """The first name that no feature has, and names that two have."""
+    for row, name in enumerate(used):
+        if name not in known:
+            yield (*path, row), "unknown name", nearest(name, known)
+            return
+    if twice := next((name for name in known if known.count(name) > 1), None):
+        yield path[:0], f'two features are called "{twice}"', "give each a name of its own"
+
+
+def not_unit(path: tuple[str | int, ...], direction: Point) -> Iterator[Wrong]:
+    """A direction that is none."""
+    length = float(np.linalg.norm(direction))
+    if not 0.999 < length < 1.001:
+        yield path, f"a direction of length {length:.4g}", "write one of length 1"
+
+
+class _Camera(SensorDataset):
+    points: Annotated[tuple[Point, ...], Field(min_length=1)]
+    """Markers as the camera sees them, x, y, z in its frame."""
+    pose: tuple[Index, ...]
+    """The pose of each point, counted from 0."""
+    marker: tuple[Index, ...]
+    """The marker of each point, counted from 0."""
+    noise_m: tuple[Noise, Noise, Noise]
+    """Standard deviation of a point along x, y and z of the camera."""
+    markers: Annotated[tuple[Point, ...], Field(min_length=1)] | None = None
+    """Markers in the frame of the object; estimated where they are left out."""
+    marker_u_m: Std = 0.0
+    """Standard uncertainty of each of their coordinates."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {
+            **super().arguments(),
+            "points_m": self.units.lengths(self.points),
+            "covariance": np.diag(np.square(self.noise_m)),
+            "pose_index": np.array(self.pose, dtype=np.intp),
+            "marker_index": np.array(self.marker, dtype=np.intp),
+            "markers_m": None if self.markers is None else self.units.lengths(self.markers),
+            "marker_std_m": self.marker_u_m,
+        }
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from unequal(("pose",), len(self.pose), len(self.points), "point")
+        yield from unequal(("marker",), len(self.marker), len(self.points), "point")
+        yield from beyond(("pose",), self.pose, len(self.motion), "poses")
+        if self.markers is not None:
+            yield from beyond(("marker",), self.marker, len(self.markers), "markers")
+
+
+class _PointLaserOnSphere(_OnSphere, _PointLaser):
+    pass
+
+
+class _PointLaserOnPlanes(_OnPlanes, _PointLaser):
+    pass
+
+
+class _ProfileLaserOnSphere(_OnSphere, _ProfileLaser):
+    pass
+
+
+class _TouchOnSphere(_OnSphere, _Touches):
+    radius_m: Radius
+    """Radius of the sphere: touches alone cannot tell it from that of the ball."""
+
+
+class _TouchOnPlanes(_OnPlanes, _Touches):
+    pass
+
+
+SENSOR_DATASETS: Final[dict[str, type[SensorDataset]]] = {
+    "point-laser-plane": _PointLaser,
+    "point-laser-planes": _PointLaserOnPlanes,
+    "point-laser-sphere": _PointLaserOnSphere,
+    "profile-laser-plane": _ProfileLaser,
+    "profile-laser-sphere": _ProfileLaserOnSphere,
+    "touch-sphere": _TouchOnSphere,
+    "touch-planes": _TouchOnPlanes,
+    "camera-hand-eye": _Camera,
+    "camera-eye-to-hand": _Camera,
+}
