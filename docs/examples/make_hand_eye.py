@@ -8,12 +8,14 @@ nothing of the estimator is used. LASER_MM below is the truth that the estimate 
 """
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 SEED = 11
+MOST_DRAWS = 100_000
 JOINT_NOISE_DEG, RANGE_NOISE_MM = 0.002, 0.03
 LASER_MM = np.eye(4)  # flange_T_laser; the beam is the z axis of the laser
 LASER_MM[:3, :3] = Rotation.from_euler("xyz", [4.0, -7.0, 0.0], degrees=True).as_matrix()
@@ -59,10 +61,10 @@ def measured(rng):
 def dataset(count=40):
     """The data set; poses that miss the plate are drawn again."""
     rng = np.random.default_rng(SEED)
-    taken = []
-    while len(taken) < count:
-        if (one := measured(rng)) is not None:
-            taken.append(one)
+    drawn = (measured(rng) for _ in range(MOST_DRAWS))
+    taken = list(islice((one for one in drawn if one is not None), count))
+    if len(taken) < count:
+        raise SystemExit(f"{len(taken)} of {MOST_DRAWS} poses meet the plate: move PLATE_MM or MIDDLE_DEG")
     return {
         "truecell_dataset": 1,
         "task": "point-laser-plane",
