@@ -1,7 +1,7 @@
 """Commands to the cell and questions about it: all go to the daemon."""
 
 from collections.abc import Callable
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -24,9 +24,12 @@ _STATE_COMMANDS: Final = (
     ("suspend", "Pause at the next measurement; the cause lies outside the cell.", "--reason 'no part'"),
     ("stop", "Request a stop of the arm now. The run ends without a verdict.", ""),
     ("abort", "Request a stop of the arm now, and latch. Clear and Reset come before the next Start.", ""),
+    ("complete", "End a held or suspended run now. A phase without result makes it Undefined.", ""),
+)
+# These take a second or two, and the next command is refused until they have ended.
+_SETTLING_COMMANDS: Final = (
     ("clear", "Acknowledge what led to Aborted. Links are opened and identities read again.", ""),
     ("reset", "From Stopped or Completed to Idle, ready for Start.", ""),
-    ("complete", "End a held or suspended run now. A phase without result makes it Undefined.", ""),
 )
 _WAITING_COMMANDS: Final = (
     ("start", "Start the job, or go on with the run that a crash cut off.", "--wait"),
@@ -45,6 +48,34 @@ def _plain_command(name: str) -> Callable[..., None]:
         with options.daemon(socket) as client:
             reply = client.post(f"/command/{name}", options.person(who), reason)
         options.print_json(reply) if as_json else typer.echo(f"{reply['command']}: now {reply['state']}")
+
+    return give
+
+
+def _settling_command(name: str) -> Callable[..., None]:
+    def give(
+        reason: ReasonOption = "",
+        who: WhoOption = None,
+        socket: SocketOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        from controller.console.show import fault_text
+        from controller.console.watch import NoView, follow
+
+        reply: dict[str, Any] = {}
+        with options.daemon(socket) as client:
+
+            def command() -> None:
+                reply.update(client.post(f"/command/{name}", options.person(who), reason))
+
+            status = follow(client, NoView(), until_waiting=True, once_connected=command)
+        if as_json:
+            options.print_json({**reply, "state": status["state"], "state_no": status["state_no"]})
+        else:
+            typer.echo(f"{reply['command']}: now {status['state']}")
+        if status.get("fault"):
+            typer.echo(fault_text(status["fault"]), err=True)
+            raise typer.Exit(code_of_status(status))
 
     return give
 
@@ -235,7 +266,11 @@ def _mark(
 
 def add_to(app: typer.Typer) -> None:
     """Register everything above, in the order of a working day."""
-    for commands, make in ((_WAITING_COMMANDS, _waiting_command), (_STATE_COMMANDS, _plain_command)):
+    for commands, make in (
+        (_WAITING_COMMANDS, _waiting_command),
+        (_SETTLING_COMMANDS, _settling_command),
+        (_STATE_COMMANDS, _plain_command),
+    ):
         for name, what, example in commands:
             app.command(name, help=f"{what}\n\nExample: truecell {name} {example}".rstrip())(make(name))
     for command in (status, watch, results, report, history):

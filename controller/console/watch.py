@@ -31,8 +31,8 @@ class View(Protocol):
         """`status` as it is after `event`."""
 
 
-class JsonView:
-    """One JSON document per event."""
+class NoView:
+    """Shows nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -41,17 +41,18 @@ class JsonView:
         pass
 
     def show(self, status: Status, event: Status) -> None:
+        pass
+
+
+class JsonView(NoView):
+    """One JSON document per event."""
+
+    def show(self, status: Status, event: Status) -> None:
         print(json.dumps(event), flush=True)
 
 
-class PlainView:
+class PlainView(NoView):
     """One line per event, for logs and pipes."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def show(self, status: Status, event: Status) -> None:
         match event["event"]:

@@ -22,7 +22,7 @@ class FakeEngine:
     def __init__(self, initial: State = State.IDLE) -> None:
         self.machine = PackMLMachine(initial)
         self.heard: list[tuple[Command, str, str]] = []
-        self.script: list[dict[str, Any] | State] = []  # what happens after Start
+        self.script: list[dict[str, Any] | State] = []  # what happens after Start, Clear or Reset
         self.extra: dict[str, Any] = {}  # more of the status
         self.was_shut_down = False
         self._listeners: list[Callable[[dict[str, Any]], None]] = []
@@ -32,7 +32,7 @@ class FakeEngine:
         state = self.machine.fire(command)
         self.heard.append((command, who, reason))
         self._tell(state)
-        if command is Command.START:
+        if command in (Command.START, Command.CLEAR, Command.RESET):
             for happening in self.script:
                 if isinstance(happening, State):
                     self.machine = PackMLMachine(happening)

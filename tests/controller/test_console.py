@@ -18,7 +18,7 @@ from controller.console.client import ConsoleError, DaemonClient
 from controller.console.exit_codes import ExitCode, code_of_status, code_of_verdicts
 from controller.console.watch import LiveView, PlainView, follow, updated
 from controller.daemon.serve import serve
-from controller.packml import State
+from controller.packml import PackMLMachine, State
 from controller.store import Store
 from tests.controller.fake_engine import FakeEngine
 
@@ -137,6 +137,28 @@ def test_commands_say_the_new_state_and_reach_the_engine_with_a_name(truecell: T
     first, second = cell.engine.heard
     assert first == ("Start", "Kim", "batch 7")
     assert second[1] != ""  # the user of this computer
+
+
+def test_clear_and_reset_return_when_the_next_command_may_follow(truecell: Terminal, cell: Cell) -> None:
+    cell.engine.machine = PackMLMachine(State.ABORTED)
+    cell.engine.script = [State.STOPPED]
+    answer = truecell("clear")
+    assert (answer.code, answer.out, answer.err) == (ExitCode.OK, "Clear: now Stopped\n", "")
+    cell.engine.script = [State.IDLE]
+    assert truecell("reset --json").json == {"command": "Reset", "state": "Idle", "state_no": 4}
+    assert truecell("reset").code == ExitCode.REFUSED  # already Idle
+
+
+def test_a_clear_that_fails_says_what_is_wrong(truecell: Terminal, cell: Cell) -> None:
+    cell.engine.machine = PackMLMachine(State.ABORTED)
+    cell.engine.extra = {"fault": {"code": "L4", "text": "Port laser is gone", "remedy": "Check the cable"}}
+    cell.engine.script = [State.ABORTED]
+    answer = truecell("clear")
+    assert answer.code == ExitCode.ABORTED
+    assert (answer.out, answer.err) == (
+        "Clear: now Aborted\n",
+        "L4: Port laser is gone. Check the cable.\n",
+    )
 
 
 def test_a_refused_command_names_the_allowed_ones(truecell: Terminal, cell: Cell) -> None:
