@@ -11,13 +11,17 @@ from controller.cellfile.lines import KeyPath, LineIndex
 from controller.cellfile.mistakes import Mistake, Source, format_mistakes, nearest
 from controller.cellfile.translate import mistakes_of
 from controller.offline.dataset_localization import LocalizationDataset
-from controller.offline.dataset_tasks import SENSOR_DATASETS, Dataset, SensorDataset
+from controller.offline.dataset_pairs import PAIR_DATASETS
+from controller.offline.dataset_parts import MotionDataset
+from controller.offline.dataset_tasks import SENSOR_DATASETS
 from controller.offline.refusal import BadFile
 from controller.quantities import shown
 
 LOCALIZATION: Final = "localization"
-DATASETS: Final[dict[str, type[SensorDataset] | type[LocalizationDataset]]] = {
+AnyDataset = MotionDataset | LocalizationDataset
+DATASETS: Final[dict[str, type[AnyDataset]]] = {
     **SENSOR_DATASETS,
+    **PAIR_DATASETS,
     LOCALIZATION: LocalizationDataset,
 }
 _MOST_SHOWN: Final = 10
@@ -31,9 +35,7 @@ def schema_of(task: str) -> dict[str, Any]:
     return DATASETS[task].model_json_schema(by_alias=True)
 
 
-def read_dataset(
-    path: Path, columns: dict[KeyPath, Any] | None = None
-) -> SensorDataset | LocalizationDataset:
+def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> AnyDataset:
     """The data set of a file.
 
     columns : arrays that come from elsewhere, such as a CSV, by their place in the form.
@@ -63,7 +65,7 @@ def read_dataset(
     return _validated(path.name, text, data, task)
 
 
-def _validated(name: str, text: str, data: dict[str, Any], task: str) -> SensorDataset | LocalizationDataset:
+def _validated(name: str, text: str, data: dict[str, Any], task: str) -> AnyDataset:
     form = DATASETS[task]
     try:
         dataset = form.model_validate_json(json.dumps(data))
@@ -139,6 +141,3 @@ def _lines(text: str) -> dict[KeyPath, int]:
                 path.append("" if token == "{" else 0)
                 wants_key = token == "{"
     return lines
-
-
-__all__ = ["DATASETS", "LOCALIZATION", "Dataset", "read_dataset", "schema_of"]

@@ -8,8 +8,19 @@ import numpy as np
 from pydantic import Field
 
 from controller.cellfile.tables import Name
-from controller.offline.dataset_parts import Matrix, Noise, Part, Point, PoseStd, Std, Units, Wrong, unequal
-from controller.offline.dataset_tasks import Dataset, Radius, not_unit, unknown_names
+from controller.offline.dataset_parts import (
+    Dataset,
+    Matrix,
+    Noise,
+    Part,
+    Point,
+    PoseStd,
+    Std,
+    Units,
+    Wrong,
+    unequal,
+)
+from controller.offline.dataset_tasks import Radius, not_unit, unknown_names
 from controller.quantities import Angle
 from estimation.localization.points import SharedError, hand_eye_error
 from estimation.localization.task import Localization

@@ -15,6 +15,7 @@ from controller.offline.units import METRES
 from controller.quantities import Angle, Length, Ratio
 from estimation.tasks import motion
 from estimation.tasks.checks import LARGEST_SKEW
+from estimation.tasks.solve import Problem
 from estimation.transform import FloatArray, Transform
 
 Wrong = tuple[KeyPath, str, str]  # where in the file, what is wrong, what to do
@@ -149,6 +150,36 @@ class Joints(Part):
         arm = arm_model(self.arm)
         u = parameter_u(self.arm) if arm.free else None
         return motion.Joints(arm, units.angles(self.angles), self.noise_rad, kinematics_std=u)
+
+
+class Dataset(Part):
+    """What every data set begins with."""
+
+    truecell_dataset: Literal[1]
+    """Version of this form."""
+    task: str
+    """Name of the task."""
+    about: str = ""
+    """For people."""
+    units: Units
+
+    def wrong(self) -> Iterator[Wrong]:
+        """What single values do not show, each with its place."""
+        return iter(())
+
+
+class MotionDataset(Dataset):
+    """What was measured at many poses of an arm."""
+
+    motion: Annotated[Poses | Joints, Field(discriminator="kind")]
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from self.motion.wrong()
+
+    def problem(self) -> Problem:
+        """What the estimator solves, in SI."""
+        raise NotImplementedError
 
 
 class Prior(Part):

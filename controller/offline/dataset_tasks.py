@@ -1,7 +1,7 @@
 """The data set of each calibration task: what it adds to the common parts, and the problem it becomes."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -10,54 +10,35 @@ from controller.cellfile.mistakes import nearest
 from controller.cellfile.tables import Name
 from controller.offline.dataset_parts import (
     Index,
-    Joints,
+    MotionDataset,
     Noise,
     Part,
     Point,
-    Poses,
     Prior,
     SharedErrors,
     Std,
-    Units,
     Wrong,
     beyond,
     unequal,
 )
 from controller.quantities import Length
 from estimation.surfaces import plane
-from estimation.tasks.registry import TASKS
+from estimation.tasks.registry import SENSOR_TASKS
 from estimation.tasks.sensing import SensorTask
 
 Radius = Annotated[Length, Field(gt=0, le=5)]
 
 
-class Dataset(Part):
-    """What every data set begins with."""
-
-    truecell_dataset: Literal[1]
-    """Version of this form."""
-    task: str
-    """Name of the task."""
-    about: str = ""
-    """For people."""
-    units: Units
-
-    def wrong(self) -> Iterator[Wrong]:
-        """What single values do not show, each with its place."""
-        return iter(())
-
-
-class SensorDataset(Dataset):
+class SensorDataset(MotionDataset):
     """Readings of a sensor at many poses of an arm."""
 
-    motion: Annotated[Poses | Joints, Field(discriminator="kind")]
     prior: Prior | None = None
     shared_errors: SharedErrors = SharedErrors()
 
     @property
     def kind(self) -> type[SensorTask]:
         """The type of the problem."""
-        return TASKS[self.task]
+        return SENSOR_TASKS[self.task]
 
     def problem(self) -> SensorTask:
         """The problem for `estimation.tasks.solve.solve`, in SI."""
@@ -83,7 +64,6 @@ class SensorDataset(Dataset):
 
     def wrong(self) -> Iterator[Wrong]:
         yield from super().wrong()
-        yield from self.motion.wrong()
         near, sensor = "base" if self.kind.beside else "flange", self.kind.sensor
         if self.prior is not None:
             for key, wanted in (("target", near), ("source", sensor)):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.offline.dataset import LOCALIZATION
 from controller.offline.dataset_localization import LocalizationDataset
-from controller.offline.dataset_tasks import SensorDataset
+from controller.offline.dataset_parts import MotionDataset
 from estimation.belief import Belief
 from estimation.localization.task import Localized, localize
 from estimation.solver import Update
@@ -44,7 +44,7 @@ class Estimate:
     second_cost: float | None = None
 
 
-def estimate(dataset: SensorDataset | LocalizationDataset) -> Estimate:
+def estimate(dataset: MotionDataset | LocalizationDataset) -> Estimate:
     """Solve it; never raises for bad data, which come back refused with their cause."""
     if isinstance(dataset, LocalizationDataset):
         return _of_localized(localize(dataset.problem()))

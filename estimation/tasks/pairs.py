@@ -186,6 +186,18 @@ class PosePairs(PairTask):
     def check_motion(self, a: FloatArray) -> list[Finding]:
         return checks.orientations(a) + checks.positions(a)
 
+    def explanations(self) -> Sequence[tuple[Finding, PairTask]]:
+        """And poses inverted: of arm or sensor, because (A^-1, B^-1) fit with mount and object exchanged."""
+        either = Finding(
+            Cause.INVERTED,
+            "The measurements fit when base_T_flange or sensor_T_object are inverted, one of the two",
+            "Give both so that coordinates in the second frame become coordinates in the first",
+        )
+        return [
+            (either if finding.cause is Cause.INVERTED else finding, other)
+            for finding, other in super().explanations()
+        ]
+
     def candidates(self, a: FloatArray, b: FloatArray) -> list[Mapping[str, Value]]:
         back = inverse(b)  # the closed forms have A X = Y B, with B the other way round
         found = [solved(a, back) for solved in closed_forms.AX_YB.values()]

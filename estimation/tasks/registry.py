@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from typing import Final
 
-from estimation.tasks import camera, laser, probe
+from estimation.tasks import camera, laser, pairs, probe
+from estimation.tasks.pairs import PairTask
 from estimation.tasks.sensing import SensorTask
+from estimation.tasks.solve import Problem
 
-_KINDS: Final[tuple[type[SensorTask], ...]] = (
+_SENSOR_KINDS: Final[tuple[type[SensorTask], ...]] = (
     laser.PointLaserOnPlane,
     laser.PointLaserOnPlanes,
     laser.PointLaserOnSphere,
@@ -17,5 +19,13 @@ _KINDS: Final[tuple[type[SensorTask], ...]] = (
     camera.CameraHandEye,
     camera.CameraEyeToHand,
 )
+_PAIR_KINDS: Final[tuple[type[PairTask], ...]] = (pairs.PosePairs, pairs.PosePairsBeside, pairs.MovePairs)
 
-TASKS: Final[Mapping[str, type[SensorTask]]] = {kind.task: kind for kind in _KINDS}
+SENSOR_TASKS: Final[Mapping[str, type[SensorTask]]] = {kind.task: kind for kind in _SENSOR_KINDS}
+"""A sensor sees points of an object."""
+
+PAIR_TASKS: Final[Mapping[str, type[PairTask]]] = {kind.task: kind for kind in _PAIR_KINDS}
+"""A sensor reports whole poses, or how it moved."""
+
+TASKS: Final[Mapping[str, type[Problem]]] = {**SENSOR_TASKS, **PAIR_TASKS}
+"""All of them."""

@@ -11,67 +11,27 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
-from controller.console.app import main
 from controller.console.exit_codes import ExitCode
 from controller.offline import estimate_result
 from controller.offline.dataset import DATASETS, read_dataset
 from controller.offline.estimate_result import estimate
 from controller.offline.refusal import BadFile
+from estimation.tasks.pairs import MovePairs, PairTask
 from estimation.tasks.registry import TASKS
 from estimation.tasks.solve import solve
+from tests.controller.offline.answers import EXAMPLES, Run, inside
 from tests.estimation.tasks.cells import CELLS
+from tests.estimation.tasks.pair_cells import PAIR_CELLS
 
-EXAMPLES = Path(__file__).parents[3] / "docs" / "examples"
+ALL_CELLS = {**CELLS, **PAIR_CELLS}
 GENERATOR = runpy.run_path(str(EXAMPLES / "make_hand_eye.py"))
-Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """`truecell estimate` with these arguments: exit code, standard output, standard error."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            main(["estimate", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        assert isinstance(end.value.code, int)
-        return end.value.code, out, err
-
-    return call
 
 
 @pytest.fixture
 def content() -> dict[str, Any]:
     """The example, to be spoilt."""
     return json.loads((EXAMPLES / "hand-eye.json").read_text())
-
-
-@pytest.fixture
-def refused(tmp_path: Path) -> Callable[[dict[str, Any]], str]:
-    """The sentence with which a data set is refused."""
-
-    def call(content: dict[str, Any]) -> str:
-        path = tmp_path / "bad.json"
-        path.write_text(json.dumps(content, indent=1))
-        with pytest.raises(BadFile) as caught:
-            read_dataset(path)
-        return caught.value.problem
-
-    return call
-
-
-def inside(answer: dict[str, Any], name: str, truth_mm: np.ndarray) -> bool:
-    """Whether the truth lies in the region of 99.9 % of a pose, over the freedoms that were estimated."""
-    pose = np.array(answer["parameters"][name]["matrix_mm"])
-    gap = np.linalg.inv(pose) @ truth_mm
-    twist = np.concatenate([gap[:3, 3], np.degrees(Rotation.from_matrix(gap[:3, :3]).as_rotvec())])
-    places = [i for i, label in enumerate(answer["parameter_names"]) if label.startswith(f"{name}.")]
-    freedoms = [["tx", "ty", "tz", "rx", "ry", "rz"].index(answer["parameter_names"][i][-2:]) for i in places]
-    covariance = np.array(answer["covariance"])[np.ix_(places, places)]
-    error = twist[freedoms]
-    return bool(error @ np.linalg.solve(covariance, error) < chi2.ppf(0.999, len(error)))
 
 
 def test_the_example_holds_the_truth_of_its_generator(run: Run) -> None:
@@ -261,7 +221,7 @@ def test_a_bad_csv_is_refused(
 
 def test_every_task_has_its_form_and_schema(run: Run) -> None:
     assert set(DATASETS) == {*TASKS, "localization"}
-    assert {CELLS[name](np.random.default_rng(1)).problem.task for name in CELLS} == set(TASKS)
+    assert {ALL_CELLS[name](np.random.default_rng(1)).problem.task for name in ALL_CELLS} == set(TASKS)
     for task in DATASETS:
         code, out, _ = run("--schema", task)
         assert code == ExitCode.OK
@@ -277,6 +237,8 @@ def _written(problem: Any) -> dict[str, Any]:
         "units": {"length": "m", "angle": "rad"},
         "motion": motion,
     }
+    if isinstance(problem, PairTask):
+        return said | _reported(problem)
     arrays = {"reading_m": "readings", "profile_m": "points", "points_m": "points", "markers_m": "markers"}
     arrays |= {"pose_index": "pose", "marker_index": "marker"}
     for name, key in arrays.items():
@@ -296,9 +258,22 @@ def _written(problem: Any) -> dict[str, Any]:
     return said
 
 
-@pytest.mark.parametrize("name", CELLS)
+def _reported(problem: PairTask) -> dict[str, Any]:
+    """The part of the sensor in a data set of pairs."""
+    table = {
+        "target": "first" if isinstance(problem, MovePairs) else "sensor",
+        "source": "second" if isinstance(problem, MovePairs) else "object",
+        "noise": {"position": f"{problem.std_m} m", "rotation": f"{problem.std_rad} rad"},
+        "matrices": problem.given.tolist(),
+    }
+    if isinstance(problem, MovePairs):
+        return {"moves": table | {"first": problem.first.tolist(), "second": problem.second.tolist()}}
+    return {"seen": table}
+
+
+@pytest.mark.parametrize("name", ALL_CELLS)
 def test_a_problem_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
-    problem = CELLS[name](np.random.default_rng(5)).problem
+    problem = ALL_CELLS[name](np.random.default_rng(5)).problem
     (tmp_path / "set.json").write_text(json.dumps(_written(problem)))
     again = read_dataset(tmp_path / "set.json").problem()
     assert type(again) is type(problem)
@@ -356,7 +331,7 @@ def test_a_localization_finds_the_part_with_the_error_of_the_mount_in_it(tmp_pat
 
 def test_every_example_in_the_docs_keeps_the_form(tmp_path: Path) -> None:
     blocks = re.findall(r"```json\n(.*?)```", (EXAMPLES.parent / "datasets.md").read_text(), re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         (tmp_path / "example.json").write_text(block)
         read_dataset(tmp_path / "example.json").problem()
