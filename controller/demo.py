@@ -32,7 +32,7 @@ HASTE: Final = (
     ("settle_time", "150 ms", "20 ms"),
     ("sync_period", "20 ms", "5 ms"),
     ("cruise_sync_period", "50 ms", "5 ms"),
-    ("search_speed", "8 mm/s", "20 mm/s"),
+    ("search_speed", "8 mm/s", "40 mm/s"),
     ("touch_speed", "1 mm/s", "1.25 mm/s"),
 )
 PATIENCE: Final = 8  # all of the cell shares this computer with whatever else runs on it
