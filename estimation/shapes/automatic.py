@@ -12,7 +12,7 @@ from estimation.shapes.refusals import Cause, FitRefused
 from estimation.shapes.result import SurfaceFit
 from estimation.transform import FloatArray
 
-_FLOOR: Final = 1e-9  # of the extent: closer than this, surfaces are alike
+_RESOLUTION: Final = 1.2e-7  # of the largest coordinate: meshes and clouds are stored in single precision
 _CLEAR: Final = 10.0  # difference of the criterion: odds of about 150 to 1
 
 
@@ -28,12 +28,14 @@ class Choice:
 def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = False) -> Choice:
     """The surface of least Bayesian information criterion, n log(rms^2) + p log(n).
 
+    Distances below the resolution of single precision tell nothing about the kind: rounding is no noise, and
+    a richer surface would follow it.
     Arguments as of `fit_surface`. Raises FitRefused where no kind fits, or where two kinds fit equally well.
     """
     points = checked_points(points_m, Plane, sigma_known=False).points_m
     sample = points[spread(len(points))]
     count = len(sample)
-    floor = _FLOOR * float(np.ptp(sample, axis=0).max())
+    floor_m = _RESOLUTION * float(np.abs(sample).max())
     tried: list[tuple[float, str, float]] = []
     others: list[str] = []
     for kind, shape in KINDS.items():
@@ -43,7 +45,7 @@ def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = F
             others.append(f"{kind}: {refusal.problem}")
             continue
         # A small sample needs more than log(n) for each freedom; both agree for many points.
-        criterion = count * np.log(fit.rms_m**2 + floor**2) + len(shape.FREEDOMS) * np.log(count)
+        criterion = count * np.log(fit.rms_m**2 + floor_m**2) + len(shape.FREEDOMS) * np.log(count)
         tried.append((float(criterion), kind, fit.rms_m))
     if not tried:
         raise FitRefused(Cause.WRONG_SURFACE, f"No kind of surface fits: {'; '.join(others)}", "Name one")
