@@ -12,17 +12,16 @@ from controller.cellfile.mistakes import Mistake, Source, format_mistakes, neare
 from controller.cellfile.translate import mistakes_of
 from controller.offline.dataset_localization import LocalizationDataset
 from controller.offline.dataset_pairs import PAIR_DATASETS
-from controller.offline.dataset_parts import MotionDataset
+from controller.offline.dataset_parts import Dataset
 from controller.offline.dataset_tasks import SENSOR_DATASETS
 from controller.offline.refusal import BadFile
 from controller.quantities import shown
+from estimation.localization.task import Localization
 
-LOCALIZATION: Final = "localization"
-AnyDataset = MotionDataset | LocalizationDataset
-DATASETS: Final[dict[str, type[AnyDataset]]] = {
+DATASETS: Final[dict[str, type[Dataset]]] = {
     **SENSOR_DATASETS,
     **PAIR_DATASETS,
-    LOCALIZATION: LocalizationDataset,
+    Localization.task: LocalizationDataset,
 }
 _MOST_SHOWN: Final = 10
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+|\n')
@@ -35,7 +34,7 @@ def schema_of(task: str) -> dict[str, Any]:
     return DATASETS[task].model_json_schema(by_alias=True)
 
 
-def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> AnyDataset:
+def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> Dataset:
     """The data set of a file.
 
     columns : arrays that come from elsewhere, such as a CSV, by their place in the form.
@@ -65,7 +64,7 @@ def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> AnyDa
     return _validated(path.name, text, data, task)
 
 
-def _validated(name: str, text: str, data: dict[str, Any], task: str) -> AnyDataset:
+def _validated(name: str, text: str, data: dict[str, Any], task: str) -> Dataset:
     form = DATASETS[task]
     try:
         dataset = form.model_validate_json(json.dumps(data))

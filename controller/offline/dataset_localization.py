@@ -23,8 +23,9 @@ from controller.offline.dataset_parts import (
 from controller.offline.dataset_tasks import Radius, not_unit, unknown_names
 from controller.quantities import Angle
 from estimation.localization.points import SharedError, hand_eye_error
-from estimation.localization.task import Localization
+from estimation.localization.task import Localization, localize
 from estimation.surfaces import Feature
+from estimation.tasks.solve import Result
 
 
 class FeaturePart(Part):
@@ -125,6 +126,9 @@ class LocalizationDataset(Dataset):
             form_std_m={each.name: each.form_u_m for each in self.features if each.form_u_m},
             toward_sensor=None if self.toward_sensor is None else np.array(self.toward_sensor),
         )
+
+    def solved(self) -> Result:
+        return localize(self.problem())
 
     def _shared(self, hand_eye: HandEye) -> SharedError:
         base_T_sensor = self.units.matrices(hand_eye.matrices)

@@ -15,7 +15,7 @@ from controller.offline.units import METRES
 from controller.quantities import Angle, Length, Ratio
 from estimation.tasks import motion
 from estimation.tasks.checks import LARGEST_SKEW
-from estimation.tasks.solve import Problem
+from estimation.tasks.solve import Problem, Result, solve
 from estimation.transform import FloatArray, Transform
 
 Wrong = tuple[KeyPath, str, str]  # where in the file, what is wrong, what to do
@@ -167,6 +167,10 @@ class Dataset(Part):
         """What single values do not show, each with its place."""
         return iter(())
 
+    def solved(self) -> Result:
+        """What the data say; bad data come back refused or flagged."""
+        raise NotImplementedError
+
 
 class MotionDataset(Dataset):
     """What was measured at many poses of an arm."""
@@ -178,8 +182,11 @@ class MotionDataset(Dataset):
         yield from self.motion.wrong()
 
     def problem(self) -> Problem:
-        """What the estimator solves, in SI."""
+        """The problem for `estimation.tasks.solve.solve`, in SI."""
         raise NotImplementedError
+
+    def solved(self) -> Result:
+        return solve(self.problem())
 
 
 class Prior(Part):

@@ -41,7 +41,6 @@ class SensorDataset(MotionDataset):
         return SENSOR_TASKS[self.task]
 
     def problem(self) -> SensorTask:
-        """The problem for `estimation.tasks.solve.solve`, in SI."""
         return self.kind(**self.arguments())
 
     def arguments(self) -> dict[str, Any]:

@@ -7,15 +7,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from controller.offline.dataset import LOCALIZATION
-from controller.offline.dataset_localization import LocalizationDataset
-from controller.offline.dataset_parts import MotionDataset
+from controller.offline.dataset_parts import Dataset
 from estimation.belief import Belief
-from estimation.localization.task import Localized, localize
 from estimation.solver import Update
 from estimation.statistics import expanded_uncertainty
 from estimation.tasks.findings import Cause
-from estimation.tasks.solve import CONSISTENCY_LEVEL, Result, solve
+from estimation.tasks.solve import CONSISTENCY_LEVEL, Result
 from estimation.transform import FloatArray, Transform
 
 USABLE, NOT_USABLE, REFUSED = "usable", "not_usable", "refused"
@@ -44,43 +41,22 @@ class Estimate:
     second_cost: float | None = None
 
 
-def estimate(dataset: MotionDataset | LocalizationDataset) -> Estimate:
+def estimate(dataset: Dataset) -> Estimate:
     """Solve it; never raises for bad data, which come back refused with their cause."""
-    if isinstance(dataset, LocalizationDataset):
-        return _of_localized(localize(dataset.problem()))
-    problem = dataset.problem()
-    return _of_result(solve(problem), problem.rough().names if not problem.check() else ())
+    return of_result(dataset.solved())
 
 
-def _of_result(result: Result, blocks: tuple[str, ...]) -> Estimate:
+def of_result(result: Result) -> Estimate:
+    """A result of the estimator, judged by what a user may do with it."""
     notes = tuple(str(finding) for finding in result.findings)
     if result.estimate is None:
         return Estimate(result.task, REFUSED, " ".join(notes))
     copies = [str(finding) for finding in result.findings if finding.cause is Cause.DUPLICATED]
     reason = " ".join([*copies, _unexplained(result.estimate)]).strip()
     second = None if result.ambiguity is None else result.ambiguity.ratio
-    return _of_update(result.task, result.estimate, blocks, reason, notes, second)
-
-
-def _of_localized(found: Localized) -> Estimate:
-    said = f"{found.reason}. {found.remedy}." if found.reason else ""
-    if found.estimate is None:
-        return Estimate(LOCALIZATION, REFUSED, said)
-    second = float(found.cost_ratios[0]) if len(found.cost_ratios) else None
-    blocks, notes = found.estimate.belief.names, (said,) if said else ()
-    return _of_update(LOCALIZATION, found.estimate, blocks, _unexplained(found.estimate), notes, second)
-
-
-def _of_update(
-    task: str,
-    update: Update,
-    blocks: tuple[str, ...],
-    reason: str,
-    notes: tuple[str, ...],
-    second: float | None,
-) -> Estimate:
-    shown = update.belief.marginal(blocks or update.belief.names)
-    return Estimate(task, NOT_USABLE if reason else USABLE, reason, notes, update, shown, second)
+    shown = result.belief.marginal(result.shown)
+    status = NOT_USABLE if reason else USABLE
+    return Estimate(result.task, status, reason, notes, result.estimate, shown, second)
 
 
 def _unexplained(update: Update) -> str:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.localization.descent import descend, distinct
-from estimation.localization.rotations import rotations
 from estimation.surfaces import Feature, feature_table, signed_distance
+from estimation.tasks.starts import rotations
 from estimation.transform import FloatArray
 
 _POINTS: Final = 60  # of all that were measured: more would not tell more of where to begin

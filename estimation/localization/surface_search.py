@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from estimation.localization.alignment import descent
 from estimation.localization.descent import descend, distinct
-from estimation.localization.rotations import rotations
 from estimation.surfaces.mesh import TriangleMesh
 from estimation.surfaces.shape import Shape
+from estimation.tasks.starts import rotations
 from estimation.transform import FloatArray
 
 _SAMPLES: Final = 4_000  # points of the surface that stand for it

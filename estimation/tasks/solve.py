@@ -77,6 +77,7 @@ class Result:
     estimate : posterior of all blocks with budget and diagnostics; None when refused.
     initial : the belief before; with the posterior it gives sensitivities.
     findings : why a result is refused or flagged.
+    shown : blocks that people ask for: all but the errors of single poses.
     ambiguity : the next best minimum that was found, if any.
     """
 
@@ -85,6 +86,7 @@ class Result:
     findings: tuple[Finding, ...]
     estimate: Update | None = None
     initial: Belief | None = None
+    shown: tuple[str, ...] = ()
     ambiguity: Ambiguity | None = None
 
     @property
@@ -161,7 +163,7 @@ def solve(problem: Problem, explain: bool = True) -> Result:
     """
     sight = tuple(problem.check())
     if any(finding.refuses for finding in sight):
-        return Result(problem.task, Status.REFUSED, sight)
+        return refused(problem.task, sight)
     result = _estimated(problem, sight)
     if explain and result.status is not Status.OK and _misfits(result):
         for finding, other in problem.explanations():
@@ -169,7 +171,7 @@ def solve(problem: Problem, explain: bool = True) -> Result:
                 continue
             again = _estimated(other, ())
             if again.estimate is not None and not _misfits(again) and not again.rejected.any():
-                return Result(problem.task, Status.REFUSED, (*sight, finding))
+                return refused(problem.task, (*sight, finding))
     return result
 
 
@@ -186,31 +188,19 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
         belief, model = problem.belief(), problem.model()
         every = np.ones(len(model), dtype=np.bool_)
         minima, reason = _minima(problem, model, problem.starts(), every)
-    except DegenerateGeometry as error:
-        return _refused(problem, sight, Cause.UNDETERMINED, error)
     except EstimationError as error:
-        return _refused(problem, sight, Cause.NO_SOLUTION, error)
+        return refused(problem.task, sight, error)
     if not minima:
-        cause = Cause.UNDETERMINED if isinstance(reason, DegenerateGeometry) else Cause.NO_SOLUTION
-        return _refused(problem, sight, cause, reason)
+        return refused(problem.task, sight, reason)
     start = belief.started(minima[0].values)
     try:
-        found = update(
-            start,
-            model,
-            consider=problem.consider,
-            robust="cauchy",
-            reject_level=OUTLIER_LEVEL,
-            tolerance=1e-6,
-        )
+        found = estimated(start, model, problem.consider)
     except DegenerateGeometry as error:
         seen = tuple(problem.diagnose(values_of(start), None))
-        return _refused(problem, (*sight, *seen), Cause.UNDETERMINED, error)
-    except ContradictingData as error:
-        return _refused(problem, sight, Cause.CLUSTERED_OUTLIERS, error)
+        return refused(problem.task, (*sight, *seen), error)
     except EstimationError as error:
-        return _refused(problem, sight, Cause.NO_SOLUTION, error)
-    findings = [*sight, *_diagnosed(found)]
+        return refused(problem.task, sight, error)
+    findings = list(sight)
     if found.rejected.any():
         findings += problem.diagnose(values_of(found.belief), found.rejected)
         # What was left out must not decide between solutions either.
@@ -218,22 +208,55 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
         minima = _minima(problem, model, again, ~found.rejected)[0] or minima
     ambiguity = None
     for other in minima[1:]:
-        ratio = other.cost / max(minima[0].cost, float(np.finfo(float).tiny))
-        if _apart(found.belief, minima[0].values, other.values):
+        if apart(found.belief, minima[0].values, other.values):
+            ratio = other.cost / max(minima[0].cost, float(np.finfo(float).tiny))
             ambiguity = Ambiguity(ratio, other.values)
-            if ratio < AMBIGUOUS_RATIO:
-                findings.append(_ambiguous(ratio))
             break
-    refused = any(finding.refuses for finding in findings)
-    status = Status.REFUSED if refused else Status.FLAGGED if findings else Status.OK
-    return Result(
-        problem.task,
-        status,
-        tuple(findings),
-        None if refused else found,
-        None if refused else belief,
-        ambiguity,
+    return judged(problem.task, found, belief, findings, problem.rough().names, ambiguity)
+
+
+def estimated(start: Belief, model: Model, consider: Sequence[str]) -> Update:
+    """The estimate of every task, from values that are near enough; raises as `update` does."""
+    return update(
+        start,
+        model,
+        consider=consider,
+        robust="cauchy",
+        reject_level=OUTLIER_LEVEL,
+        tolerance=1e-6,
     )
+
+
+def judged(
+    task: str,
+    found: Update,
+    initial: Belief,
+    findings: Sequence[Finding],
+    shown: tuple[str, ...],
+    ambiguity: Ambiguity | None,
+) -> Result:
+    """The result of an estimate, with what its residuals and a second solution say beside `findings`."""
+    findings = [*findings, *_diagnosed(found)]
+    if ambiguity is not None and ambiguity.ratio < AMBIGUOUS_RATIO:
+        findings.append(_ambiguous(ambiguity.ratio))
+    if any(finding.refuses for finding in findings):
+        return Result(task, Status.REFUSED, tuple(findings), ambiguity=ambiguity)
+    status = Status.FLAGGED if findings else Status.OK
+    return Result(task, status, tuple(findings), found, initial, shown, ambiguity)
+
+
+def refused(task: str, findings: Sequence[Finding], error: EstimationError | None = None) -> Result:
+    """The result of data that were refused at sight, or of an estimate that came to nothing."""
+    match error:
+        case None:
+            return Result(task, Status.REFUSED, tuple(findings))
+        case DegenerateGeometry():
+            cause = Cause.UNDETERMINED
+        case ContradictingData():
+            cause = Cause.CLUSTERED_OUTLIERS
+        case _:
+            cause = Cause.NO_SOLUTION
+    return Result(task, Status.REFUSED, (*findings, Finding(cause, error.problem, error.remedy)))
 
 
 def _minima(
@@ -256,7 +279,7 @@ def _minima(
     return sorted(found, key=lambda minimum: minimum.cost), reason
 
 
-def _apart(posterior: Belief, one: Mapping[str, Value], other: Mapping[str, Value]) -> bool:
+def apart(posterior: Belief, one: Mapping[str, Value], other: Mapping[str, Value]) -> bool:
     """Whether two minima are two solutions, and not the same one less far converged."""
     for name, there in other.items():
         here, std = one[name], posterior.std(name)
@@ -304,7 +327,3 @@ def _ambiguous(ratio: float) -> Finding:
         f"Two solutions fit: the second costs {ratio:.2g} times the first, limit {AMBIGUOUS_RATIO:g}",
         "Measure where the two differ, or give a prior for what is known",
     )
-
-
-def _refused(problem: Problem, sight: tuple[Finding, ...], cause: Cause, error: EstimationError) -> Result:
-    return Result(problem.task, Status.REFUSED, (*sight, Finding(cause, error.problem, error.remedy)))

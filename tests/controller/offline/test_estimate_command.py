@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from controller.console.exit_codes import ExitCode
-from controller.offline import estimate_result
+from controller.offline import dataset_parts
 from controller.offline.dataset import DATASETS, read_dataset
 from controller.offline.estimate_result import estimate
 from controller.offline.refusal import BadFile
@@ -74,7 +74,7 @@ def test_readings_that_scatter_farther_than_stated_are_not_usable(
     run: Run, content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without the search for common mistakes, which takes long and has tests of its own.
-    monkeypatch.setattr(estimate_result, "solve", partial(solve, explain=False))
+    monkeypatch.setattr(dataset_parts, "solve", partial(solve, explain=False))
     content["readings"] = [r + 0.07 * (-1) ** i for i, r in enumerate(content["readings"])]
     (tmp_path / "noisy.json").write_text(json.dumps(content))
     code, out, _ = run(tmp_path / "noisy.json", "--json")
