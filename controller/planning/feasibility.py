@@ -140,13 +140,13 @@ def _walk(cell: Cell) -> list[Reachable]:
             pool = part_candidates(workspace, spec.faces, 0, DRAWS, margin_m(workspace))
         else:
             continue
-        planned = _best(workspace, pool, points, spec.measurements, spec.name)
-        best, count = planned, spec.measurements
-        if _worst(planned, points, names).U_m > spec.limit_m:  # what it needs, it may take
-            count = min(spec.most_measurements, len(pool))
-            best = _best(workspace, pool, points, count, spec.name)
-        found.append(Reachable(spec.name, index, _worst(best, points, names), spec.limit_m, count))
-        belief = best.without(["plate", "part"])
+        most = min(spec.most_measurements, len(pool))
+        best = _best(workspace, pool, points, most, spec.name)
+        found.append(Reachable(spec.name, index, _worst(best, points, names), spec.limit_m, most))
+        # The next phase builds on what this one takes: no more than planned, if that meets the limit.
+        planned = _best(workspace, pool, points, min(spec.measurements, most), spec.name)
+        met = _worst(planned, points, names).U_m <= spec.limit_m
+        belief = (planned if met else best).without(["plate", "part"])
     return found
 
 

@@ -130,7 +130,7 @@ class _Item:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Phase:
+class JudgedPhase:
     """Planned measurements of one phase, and the gated point that is judged."""
 
     batch: Observations
@@ -141,27 +141,33 @@ class _Phase:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Planned:
+class JudgedJob:
+    """Phases in order, each building on the estimate of the one before."""
+
     arm: ArmModel
     start: Belief
-    phases: tuple[_Phase, ...]
+    phases: tuple[JudgedPhase, ...]
     quantities: tuple[Quantity, ...]
 
 
 def _run(item: _Item) -> FloatArray:
     """(count, q, 2): error along the worst axis (m) and NEES of each quantity; NaN where refused."""
-    plan = _plan(item.cell)
-    found = np.full((item.count, len(plan.phases), 2), np.nan)
-    for i in range(item.count):  # each replica is a whole non-linear estimate
-        random = np.random.default_rng([item.seed, item.first + i])
+    return replicas(_plan(item.cell), item.seed, item.first, item.count)
+
+
+def replicas(job: JudgedJob, seed: int, first: int, count: int) -> FloatArray:
+    """(count, q, 2): error along the worst axis (m) and NEES of each judged point; NaN where refused."""
+    found = np.full((count, len(job.phases), 2), np.nan)
+    for i in range(count):  # each replica is a whole non-linear estimate
+        random = np.random.default_rng([seed, first + i])
         try:
-            found[i] = _replica(plan, random)
+            found[i] = _replica(job, random)
         except EstimationError:
             continue
     return found
 
 
-def _replica(plan: _Planned, random: np.random.Generator) -> list[tuple[float, float]]:
+def _replica(plan: JudgedJob, random: np.random.Generator) -> list[tuple[float, float]]:
     everything = plan.start
     for phase in plan.phases:
         everything = phase.extend(everything)
@@ -208,11 +214,11 @@ def _read(chain: Chain, joints_rad: FloatArray, reading_m: FloatArray) -> Chain:
 
 
 @lru_cache(maxsize=1)
-def _plan(cell_path: Path) -> _Planned:
+def _plan(cell_path: Path) -> JudgedJob:
     """Plan hand-eye and localization as the job would, everything being where the cell file says."""
     cell = load_cell(cell_path)
     arm, start = cell.robot.arm_model(), first_belief(cell)
-    belief, phases, quantities = start, list[_Phase](), list[Quantity]()
+    belief, phases, quantities = start, list[JudgedPhase](), list[Quantity]()
     for spec in cell.job.phases:
         if isinstance(spec, HandEyePhase):
             plan = plan_hand_eye(cell, with_plate(belief, cell), arm, spec.measurements, 0)
@@ -229,12 +235,12 @@ def _plan(cell_path: Path) -> _Planned:
         names = [point.name for point in plan.gated]
         index = names.index(plan.worst.name)
         values, axes = np.linalg.eigh(points(plan.belief).covariance(plan.belief)[index])
-        phases.append(_Phase(_batch(cell, plan.steps), extend, points, index, axes[:, -1]))
+        phases.append(JudgedPhase(_batch(cell, plan.steps), extend, points, index, axes[:, -1]))
         quantities.append(Quantity(spec.name, plan.worst.name, float(np.sqrt(values[-1])), plan.worst.U_m))
         belief = plan.belief
     if not phases:
         raise CellError("The job has no hand_eye and no localize phase", "Add one; there is nothing to prove")
-    return _Planned(arm, start, tuple(phases), tuple(quantities))
+    return JudgedJob(arm, start, tuple(phases), tuple(quantities))
 
 
 def _plate_of(cell: Cell) -> Callable[[Belief], Belief]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.design.criteria import SHARPNESS, WORST, Criterion
-from estimation.design.passes import absorb, absorb_and_find
+from estimation.design.gains import Gains
 from estimation.design.problem import DesignProblem
 from estimation.errors import EstimationError
 from estimation.transform import FloatArray
@@ -134,16 +134,15 @@ class _Groups:
 
 
 class _State:
-    """What the chosen candidates leave: the white covariance C, and b^T C b of every candidate."""
+    """What the chosen candidates leave: the white covariance C, and the gains of all."""
 
     def __init__(self, problem: DesignProblem, criterion: Criterion, groups: _Groups) -> None:
         self._problem, self._criterion, self._groups = problem, criterion, groups
         self._rows = problem.white_rows
         # The determinant of the whole state falls by 1 / (1 + s): no other quadratic form is needed.
         self._own_decides = criterion.name == "D" and problem.targets is None
-        self._following: int | None = None  # the best next candidate, when the last update found it
         self._white = np.eye(self._rows.shape[1])
-        self._own = np.zeros(len(self._rows))
+        self._gains = Gains(self._rows)
         self._updates = 0
         self.restore([])
 
@@ -174,17 +173,18 @@ class _State:
     def best(self) -> int:
         """The open candidate that lowers the criterion most."""
         if self._own_decides:
-            if self._following is not None:
-                return self._following
-            return int(np.argmax(np.where(self._groups.allowed(self._open), self._own, -np.inf)))
+            return self._gains.largest(self._groups.allowed(self._open))
         return int(np.argmax(np.where(self._groups.allowed(self._open), self._gain(1.0), -1.0)))
 
     def exchange(self, target: float = 0.0) -> bool:
         """Replace each choice by the best candidate, where that is better; whether any was replaced."""
         changed = False
-        for _ in range(len(self.chosen)):
+        for _ in range(len(self.chosen)):  # each goes to the end: after a pass, the order is as before
+            if self._irreplaceable(self.chosen[0]):
+                self.chosen.append(self.chosen.pop(0))
+                continue
             before = self.value
-            old = self.remove(0)  # the new one goes to the end: after a pass, the order is as before
+            old = self.remove(0)
             new = self.best()
             self.add(new)
             if new != old and self.value > before * (1.0 - 1e-12):  # not better after all
@@ -195,6 +195,18 @@ class _State:
                 if self.value <= target:
                     break
         return changed
+
+    def _irreplaceable(self, candidate: int) -> bool:
+        """Whether a choice is surely as good as any other candidate in its place.
+
+        Without it, the gain s of another one is at most s / (1 - own), by Cauchy and Schwarz; its own is then
+        own / (1 - own).
+        """
+        if not self._own_decides or not self._open.any():
+            return False
+        row = self._rows[candidate]
+        best = self._gains.largest(self._open)
+        return float(self._gains.of(best)) <= float(row @ self._white @ row)
 
     def drop_least(self) -> None:
         """Take back the choice that is missed least."""
@@ -217,26 +229,20 @@ class _State:
         # Rows of F: judged axes by the white state, as heavy as the criterion weighs them.
         factor = (axes.swapaxes(-1, -2) @ targets)[kept] * np.sqrt(values[kept])[:, None]
         along = self._rows @ factor.T
-        return np.asarray(np.einsum("mk,mk->m", along, along) / (1.0 + sign * self._own))
+        return np.asarray(np.einsum("mk,mk->m", along, along) / (1.0 + sign * self._gains.exact()))
 
     def _update(self, candidate: int, sign: float) -> None:
-        self._following = None
         direction = self._white @ self._rows[candidate]
         factor = 1.0 / (sign + float(self._rows[candidate] @ direction))
         self._white = self._white - factor * np.outer(direction, direction)
         self._updates += 1
         if self._updates >= _REFRESH:
             self._refresh()
-        elif self._own_decides:
-            open_ = self._groups.allowed(self._open)
-            self._following = int(absorb_and_find(self._rows, direction, factor, self._own, open_))
         else:
-            absorb(self._rows, direction, factor, self._own)
+            self._gains.update(direction, factor)
 
     def _refresh(self) -> None:
         self._updates = 0
-        self._following = None
         chosen = np.array(self.chosen, dtype=np.intp)
         self._white = self._problem.white_covariance(chosen=chosen)
-        root = self._rows if not len(chosen) else self._rows @ np.linalg.cholesky(self._white)
-        self._own = np.einsum("mr,mr->m", root, root)
+        self._gains.restart(self._white if len(chosen) else None)

@@ -75,7 +75,9 @@ class DesignProblem:
     @cached_property
     def white_rows(self) -> FloatArray:
         """(m, r) rows by the white state, in units of their noise: information is b b^T."""
-        return np.ascontiguousarray((self.rows @ self.root) / np.sqrt(self.variance)[:, None])
+        columns = self.root.T @ self.rows.T  # passes over all candidates read one state after the other
+        columns /= np.sqrt(self.variance)
+        return np.asarray(columns.T)
 
     @cached_property
     def white_targets(self) -> FloatArray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.design import CRITERIA, DesignProblem, choose, fewest, lower_bound
-from estimation.design import passes as compiled
+from estimation.design import gains as compiled
 from estimation.design.criteria import Criterion
 from estimation.errors import EstimationError
 from tests.estimation.design.problems import box_problem, exact_covariance
