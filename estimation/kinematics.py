@@ -11,6 +11,7 @@ from estimation.errors import EstimationError
 from estimation.transform import FloatArray, skew
 
 PARAMETER_NAMES: Final = ("theta", "d", "a", "alpha", "beta")
+_NEARLY_PARALLEL_RAD: Final = np.radians(5.0)  # d and theta of a common normal are ill defined below
 _AXIS_OF: Final = {"theta": 0, "d": 0, "a": 1, "alpha": 1, "beta": 2}  # z, x or y
 
 
@@ -110,6 +111,22 @@ class ArmModel:
         """Names of the free parameters in order, joints counted from 1: ("a1", "alpha1", "theta2", ...)."""
         return tuple(f"{name}{joint + 1}" for joint, name in self.free)
 
+    @property
+    def parallel_to_next(self) -> NDArray[np.bool_]:
+        """(n,) whether the axis of a joint is within 5 deg of parallel to the next; False for the last."""
+        along = np.abs(np.cos(self.alpha) * np.cos(self.beta)) > np.cos(_NEARLY_PARALLEL_RAD)
+        return np.asarray(along & (np.arange(self.joint_count) < self.joint_count - 1))
+
+    @property
+    def every_parameter(self) -> tuple[tuple[int, str], ...]:
+        """All that may be calibrated: theta, d, a, alpha of each link, and beta where axes are parallel."""
+        return tuple(
+            (joint, name)
+            for joint, parallel in enumerate(self.parallel_to_next.tolist())
+            for name in PARAMETER_NAMES
+            if name != "beta" or parallel
+        )
+
     def with_deviation(self, delta: ArrayLike) -> "ArmModel":
         """The arm with `delta` (k,) added to its free parameters; metres or radians as each has."""
         deltas = np.asarray(delta, dtype=np.float64)
@@ -132,6 +149,18 @@ class ArmModel:
             product = product @ pose[:, joint]
         return product if joints.ndim == 2 else product[0]
 
+    def link_frames(self, q: FloatArray) -> FloatArray:
+        """base_T_link (m, n + 1, 4, 4) at joint angles q (m, n), rad: base, then each link's end.
+
+        Joint i turns about z of frame i; the last frame is the flange.
+        """
+        links, n = self._links(q), self.joint_count
+        frames = np.empty((len(q), n + 1, 4, 4))
+        frames[:, 0] = np.eye(4)
+        for joint in range(n):
+            np.matmul(frames[:, joint], links[:, joint], out=frames[:, joint + 1])
+        return frames
+
     def jacobians(self, q: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pose and its first derivatives, as body twists [t; phi] in the flange frame (form A).
 
@@ -148,11 +177,7 @@ class ArmModel:
         Source: geometric Jacobian, as used by Sallinen (2003), eq. (84-86).
         """
         joints = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        links, n = self._links(joints), self.joint_count
-        frames = np.empty((len(joints), n + 1, 4, 4))
-        frames[:, 0] = np.eye(4)
-        for joint in range(n):
-            np.matmul(frames[:, joint], links[:, joint], out=frames[:, joint + 1])
+        frames, n = self.link_frames(joints), self.joint_count
         flange = frames[:, n]
         # x of a link after its joint rotation: the axis of a and alpha
         angle = (joints + self.theta)[..., None]

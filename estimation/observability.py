@@ -15,6 +15,7 @@ from estimation.transform import FloatArray, Transform
 # Smallest over largest singular value. Hand-eye poses with a tilt up to 28 deg give 1e-2, up to 10 deg 2e-3
 # (and a standard deviation of 0.8 mm), equal orientations with settling errors of 0.005 deg less than 1e-4.
 RANK_TOLERANCE: Final = 1e-3
+_LOADED: Final = 1e-6  # of the joint that is loaded most
 _HELD_RATIO: Final = 0.9  # of posterior over prior std: the data say next to nothing
 _NAMED_SHARE: Final = 0.1  # of the largest component: smaller ones are not worth a word
 
@@ -80,7 +81,7 @@ def rank_report(
     tolerance : smallest over largest singular value that counts as information.
     """
     columns = np.concatenate([np.arange(prior.size)[prior.index(name)] for name in targets]).astype(np.intp)
-    rank, singular, null, scale = _null_space(prior, jacobian, variance, columns, tolerance)
+    rank, singular, null, scale = null_space(prior, jacobian, variance, columns, tolerance)
     return RankReport(
         rank=rank,
         unknowns=len(columns),
@@ -97,15 +98,19 @@ def require_determined(belief: Belief, jacobian: FloatArray, variance: FloatArra
     """
     columns = np.flatnonzero(belief.flat)
     if len(columns):
-        rank, singular, null, scale = _null_space(belief, jacobian, variance, columns, RANK_TOLERANCE)
+        rank, singular, null, scale = null_space(belief, jacobian, variance, columns, RANK_TOLERANCE)
         missing = _directions(belief, columns, null, scale, False)
         RankReport(rank, len(columns), singular, missing, ()).require()
 
 
-def _null_space(
+def null_space(
     belief: Belief, jacobian: FloatArray, variance: FloatArray, columns: NDArray[np.intp], tolerance: float
 ) -> tuple[int, FloatArray, FloatArray, FloatArray]:
-    """Rank, singular values, null space (k, q) and the scale (q,) of its columns."""
+    """Rank, singular values, null space (k, q) and the scale (q,) of its columns.
+
+    jacobian (m, n) by the state and variance (m,), m^2, as in `rank_report`; `columns` (q,) of the state. A
+    null direction over its scale is one of the state, in the unit of each freedom.
+    """
     whitened = jacobian[:, columns] / np.sqrt(np.maximum(variance, np.finfo(float).tiny))[:, None]
     every_unit = [unit for block in belief.blocks for unit in block.units]
     units = np.array(every_unit)[columns]
@@ -113,6 +118,9 @@ def _null_space(
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
     scale = np.array([length[units == unit].max() for unit in units])
+    # But joints yield as differently as their loads are: of these each has its own, if it has a load at all.
+    yields = (units == "rad/Nm") & (length > _LOADED * scale)
+    scale[yields] = length[yields]
     scale[scale == 0.0] = 1.0
     scaled = whitened / scale
     # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
@@ -170,7 +178,7 @@ def _directions(
 
 
 def _words(belief: Belief, labels: Sequence[str], held: bool) -> str:
-    names = [_freedom(belief, label) for label in labels]
+    names = [freedom_words(belief, label) for label in labels]
     if held:
         return f"{' with '.join(names)} is known from the prior only"
     if len(names) == 1:
@@ -178,7 +186,8 @@ def _words(belief: Belief, labels: Sequence[str], held: bool) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]} cannot be told apart"
 
 
-def _freedom(belief: Belief, label: str) -> str:
+def freedom_words(belief: Belief, label: str) -> str:
+    """A freedom, "block.freedom", as people say it."""
     block, _, freedom = label.rpartition(".")
     if isinstance(belief.value(block), Transform):
         motion = "translation" if freedom.startswith("t") else "rotation"
@@ -192,7 +201,7 @@ def _remedy(belief: Belief, labels: Sequence[str]) -> str:
     if "laser" in blocks:
         return "Tilt the tool by 20 deg or more in at least two directions, and turn it about the beam"
     if "kinematics" in blocks:
-        return "Move every joint through a wider range"
+        return "Move every joint through a wider range, measure objects elsewhere too, or give a prior"
     if "probe" in blocks or "probe.radius" in blocks:
         return "Touch the sphere from more sides, with the tool turned"
     name = sorted(blocks)[0]

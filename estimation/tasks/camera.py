@@ -1,4 +1,4 @@
-"""Cameras that see whole points, on the arm or beside it."""
+"""Sensors that see whole points: cameras on the arm or beside it, and trackers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,17 +14,14 @@ from estimation.tasks.findings import Finding
 from estimation.tasks.sensing import SensorTask, exchanged
 from estimation.transform import FloatArray, Transform
 
-_MARKERS = "markers"
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CameraHandEye(SensorTask):
-    """A camera on the arm sees markers that stand still.
+class MarkerTask(SensorTask):
+    """Markers that a sensor tells apart, each reading a point of one.
 
     Attributes
     ----------
-    points_m : (m, 3) in the frame of the camera.
-    covariance : (3, 3) or (m, 3, 3) of a point, m^2.
+    points_m : (m, 3) in the frame of the sensor.
     pose_index, marker_index : (m,) the pose at which, and the marker that, was seen.
     markers_m : (n, 3) in the frame of the object, None if they are not known (they are then estimated, in
         the frame at the far end of the arm).
@@ -32,15 +29,17 @@ class CameraHandEye(SensorTask):
     """
 
     points_m: FloatArray
-    covariance: FloatArray
     pose_index: NDArray[np.intp]
     marker_index: NDArray[np.intp]
     markers_m: FloatArray | None = None
     marker_std_m: float = 0.0
 
-    task: ClassVar[str] = "camera-hand-eye"
-    sensor: ClassVar[str] = "camera"
     object: ClassVar[str] = "object"
+    markers: ClassVar[str] = "markers"  # block of their positions, where these are estimated
+
+    def covariance_of_points(self) -> FloatArray:
+        """(m, 3, 3) noise of each point in the frame of the sensor, m^2."""
+        raise NotImplementedError
 
     @property
     def object_freedoms(self) -> tuple[str, ...]:
@@ -50,8 +49,11 @@ class CameraHandEye(SensorTask):
         return POSE_FREEDOMS if len(self.markers_m) > 1 else POSE_FREEDOMS[:3]
 
     def readings(self) -> Readings:
-        covariance = np.broadcast_to(self.covariance, (len(self.points_m), 3, 3))
-        return Readings(self.points_m, covariance, self.pose_index)
+        return Readings(self.points_m, self.covariance_of_points(), self.pose_index)
+
+    @property
+    def per_reading(self) -> tuple[str, ...]:
+        return ("points_m", "pose_index", "marker_index")
 
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         count = checks.rows_of(self.points_m)
@@ -82,8 +84,8 @@ class CameraHandEye(SensorTask):
     def target(self) -> Surfaces | Markers:
         if self.markers_m is None:
             unknown = np.zeros((int(np.max(self.marker_index)) + 1, 3))
-            return Markers(unknown, self.marker_index, _MARKERS)
-        return Markers(self.markers_m, self.marker_index, _MARKERS if self.marker_std_m else None)
+            return Markers(unknown, self.marker_index, self.markers)
+        return Markers(self.markers_m, self.marker_index, self.markers if self.marker_std_m else None)
 
     def with_object_priors(self, belief: Belief) -> Belief:
         target = self.target()
@@ -91,7 +93,7 @@ class CameraHandEye(SensorTask):
             return belief
         std = np.inf if self.markers_m is None else self.marker_std_m
         names = [f"{axis}{i + 1}" for i in range(len(target.points_m)) for axis in "xyz"]
-        return belief.with_block(_MARKERS, np.zeros(target.points_m.size), std=std, freedoms=names)
+        return belief.with_block(self.markers, np.zeros(target.points_m.size), std=std, freedoms=names)
 
     def candidates(
         self, pose: FloatArray, readings: Readings, rows: NDArray[np.intp]
@@ -113,8 +115,29 @@ class CameraHandEye(SensorTask):
             markers = np.column_stack(
                 [np.bincount(index, far_p[:, axis], minlength=len(count)) / count for axis in range(3)]
             )
-            found.append({**self.poses(mount[i], np.eye(4)), _MARKERS: markers.reshape(-1)})
+            found.append({**self.poses(mount[i], np.eye(4)), self.markers: markers.reshape(-1)})
         return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraHandEye(MarkerTask):
+    """A camera on the arm sees markers that stand still.
+
+    `covariance` (3, 3) or (m, 3, 3) is that of a point, m^2.
+    """
+
+    covariance: FloatArray
+
+    task: ClassVar[str] = "camera-hand-eye"
+    sensor: ClassVar[str] = "camera"
+
+    @property
+    def per_reading(self) -> tuple[str, ...]:
+        own = ("covariance",) if np.ndim(self.covariance) == 3 else ()
+        return super().per_reading + own
+
+    def covariance_of_points(self) -> FloatArray:
+        return np.broadcast_to(self.covariance, (len(self.points_m), 3, 3))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,3 +146,25 @@ class CameraEyeToHand(CameraHandEye):
 
     task: ClassVar[str] = "camera-eye-to-hand"
     beside: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tracker(MarkerTask):
+    """A laser tracker beside the arm follows reflectors on the flange; where they sit is estimated, too.
+
+    A point scatters by `std_m` in every direction, and by `angle_std_rad` times its distance across the
+    beam, which comes from the origin of the tracker. `scale_std` is that of its wavelength (air).
+    """
+
+    std_m: float
+    angle_std_rad: float = 0.0
+
+    task: ClassVar[str] = "tracker"
+    sensor: ClassVar[str] = "tracker"
+    beside: ClassVar[bool] = True
+    markers: ClassVar[str] = "reflectors"
+
+    def covariance_of_points(self) -> FloatArray:
+        across = np.eye(3) * np.sum(self.points_m**2, axis=1)[:, None, None]
+        across = across - self.points_m[:, :, None] * self.points_m[:, None, :]
+        return np.asarray(self.std_m**2 * np.eye(3) + self.angle_std_rad**2 * across)

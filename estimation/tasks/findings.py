@@ -27,6 +27,7 @@ class Cause(StrEnum):
     NOT_A_ROTATION = "rotation not orthonormal"
     NOT_FINITE = "not a finite number"
     WRONG_SHAPE = "wrong shape"
+    STILL_JOINT = "a joint that stands still"
     SWAPPED_JOINTS = "joints swapped"
     WRONG_SURFACE = "wrong surface named"
     UNDETERMINED = "a direction is not determined"

@@ -6,10 +6,11 @@ from itertools import combinations
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from estimation.belief import Belief, Value
 from estimation.kinematics import ArmModel
+from estimation.loads import GravityLoad
 from estimation.model import vector_of
 from estimation.tasks import checks
 from estimation.tasks.findings import Cause, Finding
@@ -135,15 +136,16 @@ class Joints:
     std_rad : (n,) or one number.
     kinematics_std : prior of the arm's free parameters, (p,) m or rad; infinite for those that the data
         alone shall determine; None leaves the arm as it is.
-    torque_nm, compliance_std : (k, n) load of each joint, and prior (n,) rad/Nm of how it yields to it:
-        the angle behind the encoder is joints_rad + compliance * torque_nm. None: rigid joints.
+    load, compliance_std : what hangs on the joints, and prior (n,) rad/Nm of how each yields to it: the
+        angle behind the encoder is joints_rad + compliance * torque, the torque that of the nominal arm.
+        A joint with the prior 0 is rigid, and so are all with None.
     """
 
     arm: ArmModel
     joints_rad: FloatArray
     std_rad: float | FloatArray = 0.0
     kinematics_std: ArrayLike | None = None
-    torque_nm: FloatArray | None = None
+    load: GravityLoad | None = None
     compliance_std: ArrayLike | None = None
 
     @property
@@ -159,39 +161,46 @@ class Joints:
             labels = self.arm.parameter_labels
             std = np.broadcast_to(np.asarray(self.kinematics_std, dtype=np.float64), (len(labels),))
             belief = belief.with_block(KINEMATICS, np.zeros(len(labels)), std=std, freedoms=labels)
-        if self.compliance_std is not None and COMPLIANCE not in belief:
-            count = self.arm.joint_count
-            std = np.broadcast_to(np.asarray(self.compliance_std, dtype=np.float64), (count,))
+        soft = self.soft_joints
+        if len(soft) and COMPLIANCE not in belief:
+            std = np.broadcast_to(np.asarray(self.compliance_std, dtype=np.float64), self.arm.joint_count)
             belief = belief.with_block(
                 COMPLIANCE,
-                np.zeros(count),
-                std=std,
-                freedoms=[f"joint{i + 1}" for i in range(count)],
-                units=["rad/Nm"] * count,
+                np.zeros(len(soft)),
+                std=std[soft],
+                freedoms=[f"joint{i + 1}" for i in soft],
+                units=["rad/Nm"] * len(soft),
             )
         return belief
+
+    @property
+    def soft_joints(self) -> NDArray[np.intp]:
+        """Joints that may yield, counted from 0."""
+        if self.load is None or self.compliance_std is None:
+            return np.zeros(0, dtype=np.intp)
+        std = np.asarray(self.compliance_std, dtype=np.float64)
+        return np.flatnonzero(np.broadcast_to(std, self.arm.joint_count) > 0.0)
 
     def at(self, values: Mapping[str, Value]) -> Flange:
         arm, joints = self.arm, self.joints_rad
         if KINEMATICS in values:
             arm = arm.with_deviation(vector_of(values, KINEMATICS))
-        if COMPLIANCE in values and self.torque_nm is not None:
-            joints = joints + vector_of(values, COMPLIANCE) * self.torque_nm
+        torque, soft = None, self.soft_joints
+        if COMPLIANCE in values and self.load is not None:
+            torque = self.load.torque_nm(self.arm, self.joints_rad)[:, soft]
+            joints = joints.copy()
+            joints[:, soft] += vector_of(values, COMPLIANCE, len(soft)) * torque
         pose, by_joint, by_parameter = arm.jacobians(joints)
         jacobian = {}
         if KINEMATICS in values:
             jacobian[KINEMATICS] = by_parameter
-        if COMPLIANCE in values and self.torque_nm is not None:
-            jacobian[COMPLIANCE] = by_joint * self.torque_nm[:, None, :]
+        if torque is not None:
+            jacobian[COMPLIANCE] = by_joint[:, :, soft] * torque[:, None, :]
         scaled = by_joint * np.broadcast_to(self.std_rad, joints.shape)[:, None, :]
         return Flange(pose, jacobian, scaled @ scaled.swapaxes(-1, -2))
 
     def check(self) -> Sequence[Finding]:
-        arrays: dict[str, tuple[object, checks.Shape]] = {
-            "joints_rad": (self.joints_rad, (None, self.arm.joint_count))
-        }
-        if self.torque_nm is not None:
-            arrays["torque_nm"] = (self.torque_nm, np.shape(self.joints_rad))
+        arrays = {"joints_rad": (self.joints_rad, (None, self.arm.joint_count))}
         return checks.first_of(
             lambda: checks.numbers(arrays),
             lambda: checks.deviations({"std_rad of joints": self.std_rad}),
