@@ -4,8 +4,7 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 """
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from estimation.errors import DeviceError
@@ -49,26 +48,21 @@ class _VirtualLink:
     def __init__(self, name: str, clock: VirtualClock) -> None:
         self._name, self._clock = name, clock
         self.faults = WireFaults()
-        self.unplug_at_s = math.inf  # unplugs itself then, also in the middle of a wait
+        self.unplug_at_s = math.inf  # the cable is pulled from then on, also in the middle of a wait
         self.opened = 0  # how often it was reopened
-        self._unplugged = False
 
     @property
     def unplugged(self) -> bool:
         """The cable is pulled."""
-        return self._unplugged
+        return self._clock.now_s() >= self.unplug_at_s
 
     @unplugged.setter
     def unplugged(self, value: bool) -> None:
-        self._unplugged = value
-        if not value:
-            self.unplug_at_s = math.inf
+        self.unplug_at_s = -math.inf if value else math.inf
 
     def _check_plugged(self) -> float:
         now = self._clock.now_s()
         if now >= self.unplug_at_s:
-            self._unplugged = True
-        if self._unplugged:
             raise DeviceError(f"Port {self._name} is gone", "Check the cable and the power of the device")
         return now
 
@@ -92,25 +86,22 @@ class VirtualCanLink(_VirtualLink):
     def __init__(self, name: str, clock: VirtualClock, device: CanDevice) -> None:
         super().__init__(name, clock)
         self._device = FaultyCan(device, self.faults)
-        self._arrived = deque[Frame]()
 
     def send(self, can_id: int, data: bytes) -> None:
         self._device.receive(can_id, data, self._check_plugged())
 
-    def receive(self, timeout_s: float) -> Frame | None:
-        arrived = self._arrived
-        if not arrived:
-            until_s = min(self._check_plugged() + timeout_s, self.unplug_at_s)
-            arrived.extend(self._device.next_frames(until_s))
-            self._clock.advance_to(arrived[0].time_s if arrived else until_s)
+    def receive(self, timeout_s: float) -> Sequence[Frame]:
+        until_s = self._check_plugged() + timeout_s
+        if until_s > self.unplug_at_s:
+            until_s = self.unplug_at_s
+        frames = self._device.next_frames(until_s)
+        self._clock.advance_to(frames[0].time_s if frames else until_s)
+        if until_s == self.unplug_at_s:
             self._check_plugged()
-            if not arrived:
-                return None
-        return arrived.popleft()
+        return frames
 
     def reopen(self) -> None:
         super().reopen()
-        self._arrived.clear()
         while self._device.take(self._clock.now_s()) is not None:
             pass
 

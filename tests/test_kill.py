@@ -17,13 +17,13 @@ from controller.console.exit_codes import ExitCode
 from controller.packml import State
 from controller.store import Event, Store
 from tests.support.deterministic import DeterministicCell
-from tests.support.processes import PATIENCE, ROOT, WireCell, wait_until
+from tests.support.processes import PATIENCE, WireCell, wait_until
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(1500)]
 
 KILLS: Final = 30
-CAMPAIGN_KILLS: Final = 300
-KILLS_IN_ONE_JOB: Final = 60
+CAMPAIGN_SEEDS: Final = range(3000, 3006)
+KILLS_IN_ONE_JOB: Final = 55
 REST_S: Final = 0.2 * PATIENCE + 0.3  # the drives' watch of SYNC, and the ramp: then nothing moves
 SEVERITY: Final = ("OK", "NotDecidable", "NotOK", "Undefined")
 
@@ -218,38 +218,18 @@ def test_thirty_kills(tmp_path: Path, undisturbed: tuple[list[str], dict[str, st
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(7200)
-def test_three_hundred_kills(tmp_path: Path, undisturbed: tuple[list[str], dict[str, str]]) -> None:
-    """Writes docs/evidence-kill.md."""
+@pytest.mark.parametrize("seed", CAMPAIGN_SEEDS)
+def test_three_hundred_kills(
+    tmp_path: Path, undisturbed: tuple[list[str], dict[str, str]], seed: int
+) -> None:
+    """Six jobs of 55 kills each; prints what docs/evidence.md tells. Minutes each: pick some with -k."""
     samples, reference = undisturbed
-    journals: list[Journal] = []
-    while (done := sum(len(journal.where) for journal in journals)) < CAMPAIGN_KILLS:
-        place = tmp_path / str(len(journals))
-        place.mkdir()
-        many = min(KILLS_IN_ONE_JOB, CAMPAIGN_KILLS - done)
-        journal, verdicts = killed(place, samples, many, seed=3000 + len(journals))
-        assert not_better(verdicts, reference)
-        journals.append(journal)
-    _write_evidence(ROOT / "docs" / "evidence-kill.md", journals)
-
-
-def _write_evidence(path: Path, journals: list[Journal]) -> None:
-    where = [phase for journal in journals for phase in journal.where]
-    lines = [
-        "# Evidence: kill -9 of the daemon",
-        "",
-        f"`pytest -m campaign tests/test_kill.py`: {len(where)} kills in {len(journals)} jobs over real "
-        "processes and wires, at seeded moments.",
-        "",
-        "| killed in | kills |",
-        "| --- | --- |",
-        *(f"| {phase} | {where.count(phase)} |" for phase in dict.fromkeys(where)),
-        "",
-        f"Samples acknowledged: {sum(len(journal.samples) for journal in journals)}; lost: 0; used twice: 0.",
-        f"Longest motion after a kill: {max(journal.slowest_rest_s for journal in journals):.2f} s of "
-        f"{REST_S:g} s allowed.",
-        f"Restarts with the known points measured before new ones counted: "
-        f"{sum(journal.references for journal in journals)} of as many that had any.",
-        "Verdicts: never better than those of an undisturbed job. Audit trail: intact.",
-    ]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    journal, verdicts = killed(tmp_path, samples, KILLS_IN_ONE_JOB, seed)
+    places = ", ".join(f"{phase} {journal.where.count(phase)}" for phase in dict.fromkeys(journal.where))
+    print(
+        f"seed {seed}: {len(journal.where)} kills ({places}); {len(journal.samples)} samples acknowledged, "
+        f"none lost or twice; at rest within {journal.slowest_rest_s:.2f} s, allowed {REST_S:g} s; "
+        f"{journal.references} restarts with the known points first"
+    )
+    assert len(journal.where) >= KILLS_IN_ONE_JOB - 5
+    assert not_better(verdicts, reference)

@@ -7,6 +7,7 @@ is: a byte that was lost or doubled, and a lost CR, are found. A hexadecimal dig
 import contextlib
 import re
 import threading
+from collections.abc import Sequence
 from typing import Any, Final
 
 import can
@@ -116,8 +117,8 @@ class PythonCanLink:
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
 
-    def receive(self, timeout_s: float) -> CanFrame | None:
-        """The next data frame, or None after `timeout_s`. Raises DeviceError if the bus is gone or off."""
+    def receive(self, timeout_s: float) -> Sequence[CanFrame]:
+        """The next data frame; empty after `timeout_s`. Raises DeviceError if the bus is gone or off."""
         bus = self._require()
         deadline_s = self._clock.now_s() + timeout_s
         while True:
@@ -126,7 +127,7 @@ class PythonCanLink:
             except (can.CanError, OSError, TypeError) as error:  # TypeError: closed while reading
                 raise self._gone(error) from error
             if message is None:
-                return None
+                return ()
             if message.is_error_frame:
                 self._bad_frames += 1
                 if message.arbitration_id & ERROR_BUS_OFF:
@@ -135,7 +136,7 @@ class PythonCanLink:
                         "Check termination, wiring and bit rate, then restart the interface and reset",
                     )
             elif not (message.is_remote_frame or message.is_extended_id):
-                return CanFrame(message.arbitration_id, bytes(message.data), self._clock.now_s())
+                return (CanFrame(message.arbitration_id, bytes(message.data), self._clock.now_s()),)
 
     def _open(self) -> Any:
         if self.interface == "socketcan":

@@ -1,6 +1,6 @@
 """One CANopen node that is no drive: set-up by SDO, network state, and process data as it comes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 from drivers.clock import Clock
@@ -118,8 +118,8 @@ class CanopenNode:
     def drain(self) -> None:
         """Take what has come by now. Raises FrameError if that has no end."""
         until_s = self._clock.now_s() + LONGEST_DRAIN_S
-        while (frame := self._link.receive(0.0)) is not None:
-            self._dispatch(frame)
+        while frames := self._link.receive(0.0):
+            self._dispatch(frames)
             if self._clock.now_s() > until_s:
                 raise FrameError(
                     f"{self.name}: frames without a pause for {LONGEST_DRAIN_S:g} s on its bus",
@@ -133,17 +133,20 @@ class CanopenNode:
             remaining_s = until_s - self._clock.now_s()
             if remaining_s < 0.0:
                 return
-            frame = self._link.receive(remaining_s)
-            if frame is not None:
-                self._dispatch(frame)
+            frames = self._link.receive(remaining_s)
+            if frames:
+                self._dispatch(frames)
             elif remaining_s <= 0.0:
                 return
 
-    def _dispatch(self, frame: CanFrame) -> None:
-        function, node = frame.can_id & 0x780, frame.can_id & 0x7F
-        if node != self.node_id or not frame.can_id:
-            return
-        self.frames += 1
+    def _dispatch(self, frames: Sequence[CanFrame]) -> None:
+        for frame in frames:
+            if frame.can_id & 0x7F == self.node_id:
+                self.frames += 1
+                self._take(frame)
+
+    def _take(self, frame: CanFrame) -> None:
+        function = frame.can_id & 0x780
         if function == 0x580:
             self.sdo.deliver(frame.can_id, frame.data, frame.time_s)
             if self._on_answer is not None:

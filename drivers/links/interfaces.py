@@ -3,8 +3,8 @@
 A real port and the deterministic cell both provide these; a driver cannot tell them apart.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 
 class ByteLink(Protocol):
@@ -29,8 +29,7 @@ class ByteLink(Protocol):
         """Release the port; safe twice."""
 
 
-@dataclass(frozen=True, slots=True)
-class CanFrame:
+class CanFrame(NamedTuple):
     """One classic CAN data frame with an 11-bit identifier."""
 
     can_id: int
@@ -44,8 +43,11 @@ class CanLink(Protocol):
     def send(self, can_id: int, data: bytes) -> None:
         """Queue one frame; safe from any thread. Raises DeviceError if the bus is gone."""
 
-    def receive(self, timeout_s: float) -> CanFrame | None:
-        """The next frame, or None after `timeout_s`. Raises DeviceError if the bus is gone."""
+    def receive(self, timeout_s: float) -> Sequence[CanFrame]:
+        """What has arrived, in order, waiting at most `timeout_s` for the first frame; empty if nothing came.
+
+        Raises DeviceError if the bus is gone.
+        """
 
     def reopen(self) -> None:
         """Close and open again. Raises DeviceError naming the port if it is not there."""

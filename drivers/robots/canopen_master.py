@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from drivers.clock import Clock
 from drivers.links.canopen_sdo import SdoPort
 from drivers.links.foreground import Foreground
-from drivers.links.interfaces import CanLink
+from drivers.links.interfaces import CanFrame, CanLink
 from drivers.robots import canopen_arm_codec as codec
 from estimation.errors import DeviceError, DeviceTimeout
 
@@ -248,19 +248,19 @@ class CanopenMaster:
             limit_s = self._next_sync_s
             if until_s < limit_s:
                 limit_s = until_s
-            frame = receive(limit_s - now if limit_s > now else 0.0)
+            frames = receive(limit_s - now if limit_s > now else 0.0)
             now = now_s()
-            if frame is None:
+            if not frames:
                 if now >= until_s:
                     return
                 continue
-            dispatch(frame.can_id, frame.data, frame.time_s)
+            dispatch(frames)
             if self._news != news or (done is not None and done()) or now >= until_s + DRAIN_LIMIT_S:
                 return
 
     def _drain(self, until_s: float) -> None:
-        while (frame := self._link.receive(0.0)) is not None and self._clock.now_s() < until_s:
-            self._dispatch(frame.can_id, frame.data, frame.time_s)
+        while (frames := self._link.receive(0.0)) and self._clock.now_s() < until_s:
+            self._dispatch(frames)
 
     def _send_sync(self, now: float) -> None:
         self._watch(now)
@@ -301,31 +301,36 @@ class CanopenMaster:
         self._due_s = self._next_sync_s
         self._link.send(codec.SYNC, b"")
 
-    def _dispatch(self, can_id: int, data: bytes, time_s: float) -> None:
-        self.frames += 1
-        joint = self._tpdo.get(can_id)
-        if joint is not None:
-            if not self._awaiting:
-                if self._answered == self._full:
-                    self._count_double(joint)
-                return
-            try:
-                self._status[joint], self._counts[joint] = _unpack_tpdo1(data)
-            except struct.error:  # another length
-                self.bad_frames += 1
-                return
-            answered = self._answered | 1 << joint
-            if answered == self._answered:
+    def _dispatch(self, frames: Sequence[CanFrame]) -> None:
+        self.frames += len(frames)
+        tpdo = self._tpdo
+        for can_id, data, time_s in frames:
+            if can_id in tpdo:
+                self._take_answer(tpdo[can_id], data)
+            elif (joint := self._heartbeats.get(can_id)) is not None:
+                self._take_heartbeat(joint, data, time_s)
+            elif (joint := self._emcy.get(can_id)) is not None:
+                self._take_emergency(joint, data)
+            elif 0x580 < can_id < 0x600:
+                self.sdo.deliver(can_id, data, time_s)
+
+    def _take_answer(self, joint: int, data: bytes) -> None:
+        """One joint's answer to SYNC."""
+        if not self._awaiting:
+            if self._answered == self._full:
                 self._count_double(joint)
-            self._answered = answered
-            if answered == self._full:
-                self._complete_sample()
-        elif (joint := self._heartbeats.get(can_id)) is not None:
-            self._take_heartbeat(joint, data, time_s)
-        elif (joint := self._emcy.get(can_id)) is not None:
-            self._take_emergency(joint, data)
-        elif 0x580 < can_id < 0x600:
-            self.sdo.deliver(can_id, data, time_s)
+            return
+        try:
+            self._status[joint], self._counts[joint] = _unpack_tpdo1(data)
+        except struct.error:  # another length
+            self.bad_frames += 1
+            return
+        answered = self._answered | 1 << joint
+        if answered == self._answered:
+            self._count_double(joint)
+        self._answered = answered
+        if answered == self._full:
+            self._complete_sample()
 
     def _complete_sample(self) -> None:
         self._awaiting, self._missed = False, 0

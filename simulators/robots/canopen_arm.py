@@ -66,11 +66,13 @@ class SimulatedArm(MechanicalArm):
     # -- bus -------------------------------------------------------------------------------------
 
     def _emit(self, time_s: float, can_id: int, data: bytes) -> None:
+        self._output.append(Frame(can_id, data, self._handed_over_s(time_s)))
+
+    def _handed_over_s(self, time_s: float) -> float:
+        """When the dongle hands over what is on the bus at `time_s`."""
         output = self._output
         time_s += DONGLE_S
-        if output and output[-1].time_s > time_s:
-            time_s = output[-1].time_s
-        output.append(Frame(can_id, data, time_s))
+        return output[-1].time_s if output and output[-1].time_s > time_s else time_s
 
     def next_output_s(self) -> float:
         """Nothing comes from the arm before this, if the master stays silent."""
@@ -136,7 +138,11 @@ class SimulatedArm(MechanicalArm):
         self._schedule()
 
     def _sync(self, time_s: float) -> None:
-        waiting = [drive for drive in self.drives if drive.sync_sample(time_s)]
+        output, handed_over_s = self._output, self._handed_over_s(time_s)
+        for drive in self.drives:
+            for can_id, data in drive.answer_sync(time_s):
+                output.append(Frame(can_id, data, handed_over_s))
+        waiting = [drive for drive in self.drives if drive.awaits_sync]
         if waiting:
             starting = [drive for drive in waiting if drive.sync_apply()]
             if starting:

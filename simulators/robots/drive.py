@@ -5,6 +5,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from operator import call
 from typing import Final
 
 from simulators.canopen_objects import BAD_VALUE, Key, SdoAbort, SdoServer, Value, entry_of
@@ -206,13 +207,16 @@ class Drive:
         self._pending[can_id] = data
         return pdo.kind not in SYNCHRONOUS and self._apply_pending(synchronous=False)
 
-    def sync_sample(self, time_s: float) -> bool:
-        """SYNC, first half: send what is true now. True if the second half has something to do."""
+    def answer_sync(self, time_s: float) -> list[tuple[int, bytes]]:
+        """SYNC, first half: the identifiers and data of what is sent; all of it is true now."""
         if self.nmt is not Nmt.OPERATIONAL:
-            return False
+            return []
         self._now_s = self._last_sync_s = time_s
-        for can_id, pack, reads in self._on_sync:
-            self._emit(time_s, can_id, pack(*[read() for read in reads]))
+        return [(can_id, pack(*map(call, reads))) for can_id, pack, reads in self._on_sync]
+
+    @property
+    def awaits_sync(self) -> bool:
+        """The second half has something to do."""
         return bool(self._pending) or self._mode == INTERPOLATED
 
     def sync_apply(self) -> bool:
@@ -261,7 +265,7 @@ class Drive:
                 timed.due_s += timed.period_s
                 can_id, pack, reads = timed.frame
                 if self.nmt is Nmt.OPERATIONAL:
-                    self._emit(time_s, can_id, pack(*[read() for read in reads]))
+                    self._emit(time_s, can_id, pack(*map(call, reads)))
         self._event_timer_s = min([timed.due_s for timed in self._timed], default=NEVER)
 
     @property

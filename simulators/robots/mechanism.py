@@ -1,6 +1,7 @@
 """The mechanical arm: axes with planned motion, and what is true of them, whatever protocol moves them."""
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -62,8 +63,8 @@ def reading_noise(rng: np.random.Generator, sigma: float) -> Callable[[], float]
     """Errors of one joint's readings one after the other, drawn in blocks because one by one is slow."""
     own = rng.spawn(1)[0]
 
-    def draws() -> Iterator[float]:
+    def blocks() -> Iterator[list[float]]:
         while True:
-            yield from (own.standard_normal(NOISE_BLOCK) * sigma).tolist()
+            yield (own.standard_normal(NOISE_BLOCK) * sigma).tolist()
 
-    return draws().__next__
+    return chain.from_iterable(blocks()).__next__

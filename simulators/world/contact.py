@@ -57,7 +57,8 @@ class StylusContact:
         self._draw_scatter()
         self._time_s, self._safe_s = 0.0, -math.inf  # the gap is known then; no change until then
         self._plans, self._revision = -1, world.revision
-        self._gap_m, _ = self._gap(self._ball(0.0))
+        self._ball_m = self._ball(0.0)
+        self._gap_m, _ = self._gap(self._ball_m)
         self.closed = self._gap_m <= 0
 
     def _draw_scatter(self) -> None:
@@ -119,8 +120,8 @@ class StylusContact:
             after = (
                 [w + a * duration_s for w, a in zip(speeds, accelerations, strict=True)] if moves else speeds
             )
-            turning = sum([max(abs(w), abs(v)) for w, v in zip(speeds, after, strict=True)])
-            change = turning**2 * self._reaches[0] + self._reach(accelerations)  # it goes round the axes
+            fastest = [max(abs(w), abs(v)) for w, v in zip(speeds, after, strict=True)]
+            change = self._round_the_axes(fastest) + self._reach(accelerations)
             way_s = 2 * way_m / (speed + math.sqrt(speed**2 + 2 * change * way_m) + 1e-12)
             if way_s <= duration_s:
                 return time_s + way_s
@@ -135,10 +136,20 @@ class StylusContact:
         """Of the ball, when the joints have these speeds."""
         if not any(speeds):
             return 0.0
-        joints = self._arm.joints_at(self._time_s)
-        here, there = self._world.ball(joints), self._world.ball(joints + MOMENT_S * np.array(speeds))
-        turning = sum([abs(w) for w in speeds])
-        return math.dist(here, there) / MOMENT_S + turning**2 * self._reaches[0] * MOMENT_S / 2
+        there = self._world.ball(self._arm.joints_at(self._time_s) + MOMENT_S * np.array(speeds))
+        bend = self._round_the_axes([abs(w) for w in speeds])
+        return math.dist(self._ball_m, there) / MOMENT_S + bend * MOMENT_S / 2
+
+    def _round_the_axes(self, speeds: Sequence[float]) -> float:
+        """The most that turning at these speeds (not negative) accelerates the ball, m/s^2.
+
+        Axis i bends what axis j does to the ball; the lever is that of whichever is nearer to the ball.
+        """
+        bend = before = 0.0
+        for speed, reach in zip(speeds, self._reaches, strict=True):
+            bend += reach * speed * (speed + 2.0 * before)
+            before += speed
+        return bend
 
     def _reach(self, changes: Sequence[float]) -> float:
         """The most that changes of all joints can be at the ball."""
@@ -146,7 +157,7 @@ class StylusContact:
 
     def _look(self, time_s: float) -> None:
         before_s, self._time_s = self._time_s, time_s
-        ball = self._ball(time_s)
+        self._ball_m = ball = self._ball(time_s)
         self._gap_m, surface = self._gap(ball)
         if self.closed:
             self.deepest_m = max(self.deepest_m, -self._gap_m)

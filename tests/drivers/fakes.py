@@ -202,7 +202,7 @@ class FakeArmLink:
         elif drive is not None and function in (0x200, 0x300) and drive.nmt == 5:
             drive.rpdos.append((1 if function == 0x200 else 2, data))
 
-    def receive(self, timeout_s: float) -> CanFrame | None:
+    def receive(self, timeout_s: float) -> list[CanFrame]:
         until = self.clock.time_s + timeout_s
         while True:
             next_s = self._events[0][0] if self._events else float("inf")
@@ -216,9 +216,9 @@ class FakeArmLink:
             if next_s <= until:
                 time_s, _, can_id, data = heapq.heappop(self._events)
                 self.clock.time_s = max(self.clock.time_s, time_s)
-                return CanFrame(can_id, data, time_s)
+                return [CanFrame(can_id, data, time_s)]
             self.clock.time_s = until
-            return None
+            return []
 
     def reopen(self) -> None:
         self.opened += 1

@@ -87,9 +87,10 @@ class SlcanDongle:
 
     def _give(self) -> None:
         with self.lock:
-            while (frame := self.arm.receive(0.0)) is not None:
-                line = f"t{frame.can_id:03X}{len(frame.data)}{frame.data.hex().upper()}\r"
-                self._port.write(line.encode())
+            while frames := self.arm.receive(0.0):
+                for can_id, data, _ in frames:
+                    line = f"t{can_id:03X}{len(data)}{data.hex().upper()}\r"
+                    self._port.write(line.encode())
 
 
 @contextlib.contextmanager

@@ -26,7 +26,7 @@ def test_waiting_takes_the_time_of_the_device_or_of_the_wait(cell: SimulatedCell
     assert cell.clock.now_s() - started == pytest.approx(1.0015)
     cell.clock.sleep(2.0)
     assert cell.clock.now_s() - started == pytest.approx(3.0015)
-    assert cell.arm_link.receive(0.5) is None
+    assert not cell.arm_link.receive(0.5)
     assert cell.clock.now_s() - started == pytest.approx(3.5015)
     assert cell.clock.utc_s() - cell.clock.now_s() == pytest.approx(1_790_000_000)
 
@@ -42,9 +42,17 @@ def test_what_came_in_the_meantime_is_there_at_once(cell: SimulatedCell) -> None
 def test_frames_carry_the_time_of_the_clock(cell: SimulatedCell) -> None:
     cell.clock.sleep(5.0)
     cell.arm_link.send(0x603, bytes.fromhex("4041600000000000"))
-    frame = cell.arm_link.receive(1.0)
-    assert frame is not None and frame.can_id == 0x583
+    (frame,) = cell.arm_link.receive(1.0)
+    assert frame.can_id == 0x583
     assert frame.time_s == cell.clock.now_s() == pytest.approx(5.0, abs=0.01)
+
+
+def test_the_answers_to_one_sync_come_together(cell: SimulatedCell) -> None:
+    cell.arm_link.send(0x000, b"\x01\x00")
+    cell.arm_link.send(0x080, b"")
+    frames = cell.arm_link.receive(1.0)
+    assert [frame.can_id & 0x7F for frame in frames if frame.can_id < 0x200] == [3, 4, 5, 6, 7, 8]
+    assert {frame.time_s for frame in frames} == {cell.clock.now_s()}
 
 
 def story(cell_dir: Path, seed: int) -> list[object]:
@@ -53,8 +61,8 @@ def story(cell_dir: Path, seed: int) -> list[object]:
     cell.arm_link.send(0x000, b"\x01\x00")
     for _ in range(20):
         cell.arm_link.send(0x080, b"")
-        while (frame := cell.arm_link.receive(0.01)) is not None:
-            heard.append(frame)
+        while frames := cell.arm_link.receive(0.01):
+            heard += frames
         heard.append(cell.laser_link.read(0.1))
     return heard
 
@@ -106,7 +114,7 @@ def test_silence_loses_answers_and_ends(cell: SimulatedCell) -> None:
 def test_silence_of_the_arm(cell: SimulatedCell) -> None:
     cell.arm_link.faults.add("drop")
     cell.arm_link.send(0x603, bytes.fromhex("4041600000000000"))
-    assert cell.arm_link.receive(0.5) is None
+    assert not cell.arm_link.receive(0.5)
     assert cell.clock.now_s() == pytest.approx(0.5)
 
 
@@ -124,9 +132,9 @@ def test_late_answers_come_during_the_next_request(cell: SimulatedCell) -> None:
 def test_late_frames_come_late(cell: SimulatedCell) -> None:
     cell.arm_link.faults.add("late", 0.3)
     cell.arm_link.send(0x603, bytes.fromhex("4041600000000000"))
-    assert cell.arm_link.receive(0.2) is None
-    frame = cell.arm_link.receive(0.2)
-    assert frame is not None and frame.time_s == pytest.approx(0.3014)
+    assert not cell.arm_link.receive(0.2)
+    (frame,) = cell.arm_link.receive(0.2)
+    assert frame.time_s == pytest.approx(0.3014)
 
 
 def test_bytes_can_come_one_by_one_with_noise_before_and_a_flipped_bit(cell: SimulatedCell) -> None:
@@ -177,7 +185,6 @@ def test_a_nominal_silent_cell_can_be_had(cell_dir: Path) -> None:
     samples = set()
     for _ in range(5):
         cell.arm_link.send(0x080, b"")
-        while (frame := cell.arm_link.receive(0.01)) is not None:
-            if frame.can_id == 0x385:
-                samples.add(frame.data)
+        while frames := cell.arm_link.receive(0.01):
+            samples |= {frame.data for frame in frames if frame.can_id == 0x385}
     assert samples == {(-90_000).to_bytes(4, "little", signed=True) + bytes(4)}

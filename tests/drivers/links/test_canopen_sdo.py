@@ -5,7 +5,6 @@ from collections.abc import Callable
 import pytest
 
 from drivers.links.canopen_sdo import SdoAbort, SdoPort
-from drivers.links.interfaces import CanFrame
 from estimation.errors import DeviceTimeout
 from tests.drivers.fakes import FakeArmLink, VirtualClock
 
@@ -17,9 +16,9 @@ def port_on(link: FakeArmLink) -> SdoPort:
     def pump(timeout_s: float, done: Callable[[], bool]) -> None:
         deadline_s = link.clock.time_s + timeout_s
         while not done() and link.clock.time_s < deadline_s:
-            frame: CanFrame | None = link.receive(deadline_s - link.clock.time_s)
-            if frame is not None and 0x580 < frame.can_id < 0x600:
-                port.deliver(frame.can_id, frame.data, frame.time_s)
+            for frame in link.receive(deadline_s - link.clock.time_s):
+                if 0x580 < frame.can_id < 0x600:
+                    port.deliver(frame.can_id, frame.data, frame.time_s)
 
     port = SdoPort(link, [3, 4], pump, 0.3)
     return port

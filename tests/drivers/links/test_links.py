@@ -106,11 +106,10 @@ def test_slcan_carries_frames_and_counts_malformed_lines() -> None:
         for line in (b"t1836371", b"tXYZ1", b"t\xff\xfe", b"z", b"t18363712"):
             port.write(line + b"\r")
         port.write(b"\x07" + b"t1836371200010000\r")
-        frame = link.receive(5.0)
-        assert frame is not None
+        (frame,) = link.receive(5.0)
         assert (frame.can_id, frame.data) == (0x183, bytes.fromhex("371200010000"))
         assert link.bad_frames == 4
-        assert link.receive(0.0) is None
+        assert not link.receive(0.0)
         port.unplug()
         with pytest.raises(DeviceError, match="is gone"):
             while True:
@@ -241,8 +240,8 @@ def test_bus_off_and_stray_frames_on_socketcan() -> None:
     ]
     link = PythonCanLink("socketcan", "can0")
     link._bus = SimpleNamespace(recv=lambda timeout: frames.pop(0), shutdown=lambda: None)
-    frame = link.receive(1.0)
-    assert frame is not None and frame.data == b"\x02"
+    (frame,) = link.receive(1.0)
+    assert frame.data == b"\x02"
     with pytest.raises(DeviceError, match="CAN bus can0 is off") as error:
         link.receive(1.0)
     assert "termination" in error.value.remedy.lower()

@@ -329,7 +329,7 @@ def test_answers_unread_while_the_computer_stood_still_are_no_missed_sync() -> N
     arm, link, clock = connected()
     real, stalls = link.receive, [0.3, 0.3, 0.3, 0.3]
 
-    def stalling(timeout_s: float) -> CanFrame | None:
+    def stalling(timeout_s: float) -> list[CanFrame]:
         if stalls and link._events and link._events[0][2] == 0x183:  # just before the first answer is read
             clock.sleep(stalls.pop())
         return real(timeout_s)
