@@ -68,7 +68,6 @@ def fit(
     """
     from controller.offline.fit_result import document, status_of
     from controller.offline.points import read_points
-    from controller.offline.refusal import BadInput
     from estimation.shapes.automatic import fit_any
     from estimation.shapes.fit import fit_surface
     from estimation.shapes.refusals import FitRefused
@@ -88,13 +87,7 @@ def fit(
     if report is not None:
         from controller.offline.fit_page import page
 
-        try:
-            report.write_text(page(found, choice, points.name), encoding="utf-8")
-        except OSError as error:
-            raise BadInput(
-                f"--report: {report} cannot be written ({error.strerror})",
-                "Name a file in a folder that exists",
-            ) from error
+        options.write_file(report, page(found, choice, points.name), "--report")
     if as_json:
         options.print_json(document(found, choice))
     else:

@@ -65,3 +65,15 @@ def state_folder(cell: Path, given: Path | None) -> Path:
 def print_json(content: Any) -> None:
     """One JSON document on one line."""
     typer.echo(json.dumps(content))
+
+
+def write_file(path: Path, text: str, option: str) -> None:
+    """A file that an option names. Raises BadInput where it cannot be written."""
+    from controller.offline.refusal import BadInput
+
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(
+            f"{option}: {path} cannot be written ({error.strerror})", "Name a file in a folder that exists"
+        ) from error

@@ -26,6 +26,9 @@ DATASETS: Final[dict[str, type[Dataset]]] = {
 _MOST_SHOWN: Final = 10
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+|\n')
 
+_ROW: Final = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")
+_SPACE: Final = re.compile(r"\s+")
+
 
 def schema_of(task: str) -> dict[str, Any]:
     """JSON schema of the data set of a task. Raises BadFile for a task that there is not."""
@@ -62,6 +65,17 @@ def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> Datas
             raise _refusal(source, [source.mistake(("task",), "key is missing", _remedy(""))])
         raise _refusal(source, [source.mistake(("task",), "unknown task", _remedy(str(task)))])
     return _validated(path.name, text, data, task)
+
+
+def dataset_of(content: dict[str, Any], name: str) -> Dataset:
+    """The data set of content that was made from a file of that name. Raises BadFile."""
+    return _validated(name, "", content, content["task"])
+
+
+def as_text(content: dict[str, Any]) -> str:
+    """Content as JSON, one row of numbers a line."""
+    text = json.dumps(content, indent=1)
+    return _ROW.sub(lambda match: "[" + _SPACE.sub(" ", match[1]) + "]", text) + "\n"
 
 
 def _validated(name: str, text: str, data: dict[str, Any], task: str) -> Dataset:
