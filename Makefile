@@ -39,7 +39,7 @@ demo: $(STAMP) ## run the whole cell against simulated devices
 
 test: lint ## everything that must pass before a commit lands
 	@echo "tests in virtual time"
-	@$(BIN)/pytest -q -n 2 --dist loadfile -m "not wire and not campaign"
+	@$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder -m "not wire and not campaign"
 	@echo "tests on real ports: alone, because they run in real time"
 	@$(BIN)/pytest -q -m "wire and not campaign"
 

@@ -6,7 +6,8 @@ import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Workers take whole files in this order, so that none is left with a long one at the end.
+# Workers take whole files in this order, so that none is left with a long one at the end. It needs
+# --no-loadscope-reorder: by itself xdist begins with the files of many tests, which are short ones.
 LONGEST_FIRST = ("test_many_cells", "test_kill", "test_wires", "test_scenarios", "test_real_wires")
 
 

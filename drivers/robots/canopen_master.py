@@ -303,10 +303,9 @@ class CanopenMaster:
 
     def _dispatch(self, frames: Sequence[CanFrame]) -> None:
         self.frames += len(frames)
-        tpdo = self._tpdo
         for can_id, data, time_s in frames:
-            if can_id in tpdo:
-                self._take_answer(tpdo[can_id], data)
+            if (joint := self._tpdo.get(can_id)) is not None:
+                self._take_answer(joint, data)
             elif (joint := self._heartbeats.get(can_id)) is not None:
                 self._take_heartbeat(joint, data, time_s)
             elif (joint := self._emcy.get(can_id)) is not None:

@@ -1,6 +1,7 @@
 """The true scene: what the laser beam meets and what the stylus ball touches."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -53,6 +54,7 @@ class World:
         self._spheres = self._place_spheres()
         self._plate_T_base = _inverse(truth.base_T_plate)
         self._part_T_base = _inverse(truth.base_T_part)
+        self._to_plate, self._to_part = _mover(self._plate_T_base), _mover(self._part_T_base)
         self._half_plate = [float(size) / 2 for size in file.plate.size_m]
         self._min_cosine = math.cos(file.laser.max_incidence_rad)
         self._point_noise = stream(truth.seed, "noise.laser.point")
@@ -179,11 +181,10 @@ class World:
         """The same, for the ball centre in base; of the part only a lower bound where others are nearer."""
         radius = self.truth.probe_radius_m
         gaps = [(name, math.dist(centre, middle) - size - radius) for name, middle, size in self._spheres]
-        gaps.append(("plate", self._plate_distance(_moved(self._plate_T_base, centre)) - radius))
+        gaps.append(("plate", self._plate_distance(self._to_plate(centre)) - radius))
         if self._part_present:
             enough_m = min([gap for _, gap in gaps]) + radius + ENOUGH_M
-            part_p = _moved(self._part_T_base, centre)
-            gaps.append(("part", self._solid.signed_distance(part_p, enough_m) - radius))
+            gaps.append(("part", self._solid.signed_distance(self._to_part(centre), enough_m) - radius))
         return gaps
 
     def _plate_distance(self, point: Triple) -> float:
@@ -203,15 +204,19 @@ class World:
         return reaches
 
 
-def _moved(matrix: FloatArray, point: Triple) -> Triple:
-    """A single point, in plain floats, which are faster than arrays here."""
-    x, y, z = point
-    first, second, third, _ = matrix.tolist()
-    return (
-        first[0] * x + first[1] * y + first[2] * z + first[3],
-        second[0] * x + second[1] * y + second[2] * z + second[3],
-        third[0] * x + third[1] * y + third[2] * z + third[3],
-    )
+def _mover(matrix: FloatArray) -> Callable[[Triple], Triple]:
+    """Moves single points by `matrix` (4, 4): plain floats are faster than arrays here."""
+    (xx, xy, xz, xt), (yx, yy, yz, yt), (zx, zy, zz, zt), _ = matrix.tolist()
+
+    def move(point: Triple) -> Triple:
+        x, y, z = point
+        return (
+            xx * x + xy * y + xz * z + xt,
+            yx * x + yy * y + yz * z + yt,
+            zx * x + zy * y + zz * z + zt,
+        )
+
+    return move
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

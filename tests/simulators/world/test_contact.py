@@ -1,5 +1,7 @@
 """The stylus: every contact is found, whenever one asks, at the right instant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,7 +57,7 @@ def scene(world_file: WorldFile, nominal: Truth, sweeps: int) -> tuple[StylusCon
     plate = np.eye(4)
     plate[:3, :3] = np.column_stack([across[1], np.cross(-way, across[1]), -way])
     plate[:3, 3] = here + 0.6 * (there - here)
-    world._plate_T_base = np.linalg.inv(plate)
+    world = World(world_file, replace(nominal, base_T_plate=plate), arm, noise_factor=0.0)
     return StylusContact(world, arm), world, arm
 
 
@@ -119,11 +121,10 @@ def test_contacts_scatter_along_the_normal(world_file: WorldFile, nominal: Truth
 
 def test_a_part_that_is_taken_away_no_longer_presses(world_file: WorldFile, nominal: Truth) -> None:
     arm = OneJoint(world_file.arm.start_joints_rad, 0)
-    world = World(world_file, nominal, arm)
-    ball = np.array(world.ball(arm.start))
+    ball = np.array(World(world_file, nominal, arm).ball(arm.start))
     part = np.eye(4)
     part[:3, 3] = ball - (0.05, 0.02, 0.1005)
-    world._part_T_base = np.linalg.inv(part)
+    world = World(world_file, replace(nominal, base_T_part=part), arm)
     contact = StylusContact(world, arm)
     assert contact.closed
     world.part_present = False
