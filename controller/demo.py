@@ -7,13 +7,12 @@ compare the result with the hidden truth, which the simulators leave in a file.
 import contextlib
 import json
 import re
-import shutil
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,11 +20,11 @@ from typing import Any, Final
 from controller.console.client import ConsoleError, DaemonClient
 from controller.console.exit_codes import ExitCode, code_of_status
 from controller.console.watch import WAITING, choose_view, updated
+from controller.demo_cell import copy_bench_block
 from controller.truth_table import TruthTable, compare
 from estimation.errors import CellError, CellFileError
 
 SCENARIOS: Final = ("honest", "bumped-laser", "noisy-joint", "cable-pulled", "part-missing", "tight-limit")
-BENCH_BLOCK: Final = Path(__file__).parents[1] / "cells" / "bench-block"
 MOTION_SPEED: Final = 100.0
 # A simulated arm does not swing, and its stylus does not break: what a real one needs would only be waiting.
 HASTE: Final = (
@@ -71,8 +70,12 @@ def run_demo(
     folder: Path | None = None,
     as_json: bool = False,
     motion_speed: float = MOTION_SPEED,
+    devices: Sequence[str] = (),
 ) -> int:
-    """Play one scenario; returns the exit code of the job. Raises CellError."""
+    """Play one scenario; returns the exit code of the job. Raises CellError.
+
+    `devices` are variants of the cell, in place of its own robot, laser or probe.
+    """
     if scenario not in SCENARIOS:
         raise CellFileError(f"No scenario {scenario!r}", f"Choose one of {', '.join(SCENARIOS)}")
     started = time.monotonic()
@@ -83,10 +86,11 @@ def run_demo(
 
     with tempfile.TemporaryDirectory(prefix="truecell-") as sockets:
         place = Place(_fresh(folder, scenario, seed), Path(sockets))
-        port = _copy_cell(place, scenario)
-        say(f"Cell bench-block, seed {seed}, scenario {scenario}, in {place.folder}")
+        _make_cell(place, scenario, devices)
+        other = f" with {', '.join(devices)}" if devices else ""
+        say(f"Cell bench-block{other}, seed {seed}, scenario {scenario}, in {place.folder}")
         logs = place.folder / "simulators.log", place.folder / "daemon.log"
-        world = _process(_simulator_command(place, seed, scenario, port, motion_speed), logs[0])
+        world = _process(_simulator_command(place, seed, scenario, motion_speed), logs[0])
         with (
             world as simulators,
             _process(_daemon_command(place), logs[1]) as daemon,
@@ -142,15 +146,9 @@ def _fresh(folder: Path | None, scenario: str, seed: int) -> Path:
     raise CellError(f"{base} holds 100 demos of this second", "Try again")
 
 
-def _copy_cell(place: Place, scenario: str) -> int:
-    """The bench-block cell on a free TCP port; returns the port."""
-    shutil.copytree(
-        BENCH_BLOCK, place.cell.parent, ignore=shutil.ignore_patterns("run", ".truecell", "__pycache__")
-    )
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    text = re.sub(r'(host = "127\.0\.0\.1"\nport = )\d+', rf"\g<1>{port}", place.cell.read_text())
+def _make_cell(place: Place, scenario: str, devices: Sequence[str]) -> None:
+    """The bench-block cell in a hurry."""
+    text = copy_bench_block(place.cell.parent, devices).read_text()
     for name, before, after in HASTE:
         text = text.replace(f'\n{name} = "{before}"', f'\n{name} = "{after}"')
     text = text.replace("\npatience = 1 ", f"\npatience = {PATIENCE} ")
@@ -159,7 +157,6 @@ def _copy_cell(place: Place, scenario: str) -> int:
             r'(name = "localize"(?:(?!\[\[).)*?\nlimit = )"[^"]*"', rf"\g<1>{TIGHT}", text, flags=re.S
         )
     place.cell.write_text(text)
-    return port
 
 
 @contextlib.contextmanager
@@ -196,10 +193,10 @@ class Refused(Exception):
     """The daemon found mistakes in the cell file, and opened nothing."""
 
 
-def _simulator_command(place: Place, seed: int, scenario: str, port: int, motion_speed: float) -> list[str]:
+def _simulator_command(place: Place, seed: int, scenario: str, motion_speed: float) -> list[str]:
     return [
         sys.executable, "-m", "simulators", str(place.cell.parent), "--seed", str(seed),
-        "--scenario", scenario, "--probe-port", str(port), "--motion-speed", f"{motion_speed:g}",
+        "--scenario", scenario, "--motion-speed", f"{motion_speed:g}",
     ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ class Clock(Protocol):
         """Seconds since an arbitrary start; never goes backwards."""
 
     def sleep(self, duration_s: float) -> None:
-        """Let `duration_s` pass."""
+        """Let `duration_s` pass; nothing if it is past already."""
 
     def utc_s(self) -> float:
         """Wall time, seconds since 1970 UTC: for records only, never for a deadline."""
@@ -24,7 +24,7 @@ class RealClock:
         return time.monotonic()
 
     def sleep(self, duration_s: float) -> None:
-        time.sleep(duration_s)
+        time.sleep(max(duration_s, 0.0))
 
     def utc_s(self) -> float:
         return time.time()

@@ -47,22 +47,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, help="of everything that is drawn")
     cell = parser.add_argument_group("a cell")
     cell.add_argument(
-        "--run-dir", type=Path, help="where ports, truth.json and control go; run in the folder of the cell"
+        "--run-dir",
+        type=Path,
+        help="for truth.json and the control socket; run in the folder of the cell",
     )
     cell.add_argument("--motion-speed", type=float, default=1.0, help="divides the time of fast moves")
     cell.add_argument("--scenario", default="honest", help="of world.toml")
-    cell.add_argument("--probe-port", type=int, help="TCP port of the probe, 0 for any; that of world.toml")
     alone = parser.add_argument_group("one device")
     alone.add_argument(
         "--port",
         action="append",
         default=[],
-        help="path of the serial port or slcan dongle, or TCP port (SOCKET=PORT where there are several)",
+        help="path of the serial port or slcan dongle, or TCP port (SOCKET=PORT for a further one)",
     )
     alone.add_argument("--host", default="127.0.0.1", help="address to listen at")
     alone.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting; see --list"
     )
+    alone.add_argument("--control", type=Path, metavar="PATH", help="of a socket to make things happen by")
     alone.add_argument("--fault", action="append", default=[], help="what goes wrong; see --list")
     alone.add_argument("--faults", type=Path, metavar="FILE", help='TOML: faults = ["late:0.3@5s", ...]')
     return parser
@@ -70,35 +72,45 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve_cell(options: argparse.Namespace) -> None:
     from simulators.cell import CellModel
+    from simulators.endpoints import read_endpoints
     from simulators.serve import CellServer
 
-    cell_dir = options.cell if options.cell.is_dir() else options.cell.parent
-    run_dir = options.run_dir or cell_dir / "run"
+    cell_file = options.cell / "cell.toml" if options.cell.is_dir() else options.cell
+    devices = read_endpoints(cell_file)
+    run_dir = options.run_dir or cell_file.parent / "run"
     model = CellModel(
-        cell_dir,
+        cell_file.parent,
         options.seed,
         options.scenario,
         motion_speed=options.motion_speed,
         cache_dir=run_dir / "cache",
+        robot=devices["robot"].driver,
+        laser=devices["laser"].driver,
+        probe=devices["probe"].driver,
     )
-    CellServer(model, run_dir, options.probe_port).run()
+    CellServer(model, devices, run_dir).run()
 
 
 def _serve_device(options: argparse.Namespace) -> None:
     from simulators.alone import DeviceServer, read_ports, read_schedule, read_settings
     from simulators.registry import device_kind
+    from simulators.station import Endpoint
 
     kind = device_kind(options.device)
-    schedule = read_schedule(options.fault, options.faults)
     server = DeviceServer(
-        kind, read_settings(kind, options.set), read_ports(options.port), schedule, options.seed, options.host
+        kind,
+        read_settings(kind, options.set),
+        Endpoint(read_ports(options.port), options.host),
+        read_schedule(options.fault, options.faults),
+        options.seed,
+        options.control,
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.loop.quit())
-    for socket, where in server.where.items():
+    for socket, where in server.station.where.items():
         print(f"{kind.name} {socket} at {where}".replace("  ", " "))
     print("ready", flush=True)
-    server.loop.run()
+    server.run()
 
 
 if __name__ == "__main__":

@@ -2,19 +2,20 @@
 
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from estimation.errors import CellFileError
 from simulators import faults, signals
-from simulators.device_kind import DeviceKind, Setting
+from simulators.control import STATION_COMMANDS, ControlSocket, happen
+from simulators.device_kind import DeviceKind, Setting, Settings
 from simulators.faults import Fault, parse_fault
-from simulators.interfaces import ByteDevice
-from simulators.outlets import Loop, SerialOutlet, TcpOutlet
+from simulators.outlets import Loop
 from simulators.registry import DEVICES
-from simulators.slcan import SlcanDevice
+from simulators.robots.mechanism import MechanicalArm
+from simulators.station import Endpoint, Station
 
 EVENTS: Final = {
     "restart": "the device loses its power for a moment, at START",
@@ -30,133 +31,92 @@ class _Event:
 
 
 class DeviceServer:
-    """One device behind its outlets, in real time, with its faults. Raises CellFileError, OSError.
+    """One device in real time, with its faults. `control` is a path for a socket by which more can happen.
 
-    `ports` are a path for a serial line or slcan dongle; for TCP a number per socket ("": the main one).
+    Raises CellFileError.
     """
 
     def __init__(
         self,
-        kind: DeviceKind,
-        settings: Mapping[str, Setting],
-        ports: Mapping[str, str],
+        kind: DeviceKind[Any],
+        settings: Settings,
+        endpoint: Endpoint,
         schedule: Iterable[Fault] = (),
         seed: int = 0,
-        host: str = "127.0.0.1",
+        control: Path | None = None,
     ) -> None:
-        self._kind, self._settings, self._seed = kind, {**kind.settings, **settings}, seed
-        self.device = kind.make(self._settings, seed)
+        self._kind, self._settings, self._seed = kind, dict(settings), seed
         self.loop = Loop(self._update)
-        self.where = dict[str, str]()  # socket -> path or host:port
-        self._outlets = list[SerialOutlet | TcpOutlet]()
+        self.station = Station(self.loop, kind, kind.simulated(seed, **settings), endpoint)
         self._events = list[_Event]()
-        if kind.link == "tcp":
-            self._listen(host, ports)
-        else:
-            self._open_line(ports)
-        for number, outlet in enumerate(self._outlets):
+        for number, outlet in enumerate(self.station.outlets.values()):
             outlet.faults.reseed(seed + number)
         for fault in schedule:
             self._schedule(fault)
+        self._control = None if control is None else ControlSocket(self.loop, control, self._do)
 
-    def _open_line(self, ports: Mapping[str, str]) -> None:
-        path = Path(ports.get("", self._kind.name))
-        if path.exists() and not path.is_symlink():
-            raise CellFileError(
-                f"{path} is there already", "Name a path for the port that does not exist yet"
-            )
-        outlet = SerialOutlet(self.loop, path, lambda: self._find(""), self._baud())
-        self.where[""] = str(path)
-        self._outlets.append(outlet)
-
-    def _listen(self, host: str, ports: Mapping[str, str]) -> None:
-        names = tuple(self._kind.sockets)
-        given = {(names[0] if name == "" else name): number for name, number in ports.items()}
-        for name in given:
-            if name not in names:
-                raise CellFileError(f"{self._kind.name} has no socket {name!r}", f"It has {', '.join(names)}")
-        for name, default in self._kind.sockets.items():
-            text = given.get(name, str(default))
-            if not text.isdigit() or int(text) > 65535:
-                raise CellFileError(f"{text!r} is no TCP port", "Give a number, 0 for any free one")
-            try:
-                outlet = TcpOutlet(self.loop, host, int(text), lambda name=name: self._find(name))  # type: ignore[misc]
-            except PermissionError as error:
-                raise CellFileError(
-                    f"Port {text} is reserved for the system",
-                    f"Choose one above 1023: --port {name}=5{text:0>3}",
-                ) from error
-            except OSError as error:
-                raise CellFileError(f"Port {text}: {error.strerror}", "Choose a free port, or 0") from error
-            self.where[name] = f"{host}:{outlet.port.port}"
-            self._outlets.append(outlet)
-
-    def _find(self, socket: str) -> ByteDevice:
-        """What a client finds at a socket now."""
-        device = self.device
-        return SlcanDevice(device.can) if device.can is not None else device.connect[socket]()
-
-    def _baud(self) -> Callable[[], int] | None:
-        return None if self.device.baud is None else lambda: self.device.baud() if self.device.baud else 0
+    def run(self) -> None:
+        """Serve until the loop quits."""
+        try:
+            self.loop.run()
+        finally:
+            if self._control is not None:
+                self._control.close()
 
     def _update(self, time_s: float) -> None:
-        self.device.update(time_s)
+        self.station.device.update(time_s)
         while self._events and self._events[0].at_s <= time_s:
             self._events.pop(0).act()
 
-    # -- faults ----------------------------------------------------------------------------------
-
     def _schedule(self, fault: Fault) -> None:
-        if fault.kind in faults.KINDS:
-            for outlet in self._outlets:
-                outlet.faults.schedule(fault)
-        elif fault.kind in signals.KINDS:
-            if self.device.signal is None:
-                raise CellFileError(f"{self._kind.name} measures no signal: no {fault.kind}", "Leave it out")
-            # A signal is continuous: without an end, the fault lasts.
-            self.device.signal.schedule(replace(fault, once=False))
-        elif fault.kind in EVENTS:
+        if fault.kind in EVENTS:
             self._schedule_event(fault)
+        elif fault.kind in ALL_FAULTS:
+            self.station.schedule(fault)
         else:
             raise CellFileError(f"No fault {fault.kind!r}", f"Choose one of {', '.join(ALL_FAULTS)}")
 
     def _schedule_event(self, fault: Fault) -> None:
         if math.isinf(fault.from_s):
             raise CellFileError(f"When is {fault.kind} to happen?", f"Add a time: {fault.kind}@5s")
-        acts = {"restart": self._restart, "unplug": self._unplug, "swap": self._swap}
+        station = self.station
+        acts = {"restart": station.restart, "unplug": station.unplug, "swap": self._swap}
         self._events.append(_Event(fault.from_s, acts[fault.kind]))
         if fault.kind == "unplug" and math.isfinite(fault.until_s):
-            self._events.append(_Event(fault.until_s, self._plug))
+            self._events.append(_Event(fault.until_s, station.plug))
         self._events.sort(key=lambda event: event.at_s)
 
-    def _restart(self) -> None:
-        if self.device.restart is not None:
-            self.device.restart(self.loop.now_s)
-        self._hang_up()
-
-    def _hang_up(self) -> None:
-        for outlet in self._outlets:
-            if isinstance(outlet, TcpOutlet):
-                outlet.hang_up()
-
-    def _unplug(self) -> None:
-        for outlet in self._outlets:
-            outlet.unplug()
-
-    def _plug(self) -> None:
-        for outlet in self._outlets:
-            outlet.plug()
-
     def _swap(self) -> None:
-        self._unplug()
-        self.device = self._kind.make({**self._settings, **self._kind.other}, self._seed)
-        self._plug()
+        settings = {**self._settings, **self._kind.other}
+        self.station.swap(self._kind.simulated(self._seed, **settings))
+
+    def _do(self, request: dict[str, Any]) -> dict[str, Any]:
+        match request["do"]:
+            case "swap":
+                self._swap()
+            case "fault":
+                self._schedule(parse_fault(str(request["fault"])))
+            case "quit":
+                self.loop.quit()
+            case what if what in STATION_COMMANDS:
+                happen({self._kind.name: self.station}, {"device": self._kind.name, **request})
+            case what if what != "status":
+                raise ValueError(f"{what!r} is not known")
+        model, now_s = self.station.device.model, self.loop.now_s
+        joints = model.joints_at(now_s).tolist() if isinstance(model, MechanicalArm) else None
+        return {
+            "time_s": now_s,
+            "stalled_s": self.loop.stalled_s,
+            "plugged": self.station.plugged,
+            "where": self.station.where,
+            "joints_rad": joints,
+        }
 
 
 ALL_FAULTS: Final = {**faults.KINDS, **signals.KINDS, **EVENTS}
 
 
-def read_settings(kind: DeviceKind, assignments: Iterable[str]) -> dict[str, Setting]:
+def read_settings(kind: DeviceKind[Any], assignments: Iterable[str]) -> dict[str, Setting]:
     """Settings from KEY=VALUE texts. Raises CellFileError."""
     settings = dict[str, Setting]()
     for text in assignments:
@@ -200,7 +160,7 @@ def list_devices() -> str:
     for kind in DEVICES.values():
         lines.append(f"  {kind.name:16} {kind.what}")
         if kind.link == "tcp":
-            sockets = ", ".join(f"{name} {port}" for name, port in kind.sockets.items())
+            sockets = ", ".join(f"{name} {port}".strip() for name, port in kind.sockets.items())
             lines.append(f"  {'':16} TCP: {sockets}")
         settings = " ".join(f"{key}={value}" for key, value in kind.settings.items())
         lines.append(f"  {'':16} --set {settings}")

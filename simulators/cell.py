@@ -6,13 +6,16 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import CellFileError
-from simulators.probes.kinds import make_probe
-from simulators.robots.kinds import make_robot
-from simulators.sensors.kinds import Optics, make_laser
+from simulators.device_kind import DeviceKind, Setting, Simulated
+from simulators.probes.kinds import PROBES, Stylus, stylus_of
+from simulators.registry import choose
+from simulators.robots.kinds import ROBOTS, Mechanics
+from simulators.robots.mechanism import MechanicalArm
+from simulators.sensors.kinds import LASERS, Optics
 from simulators.world.contact import StylusContact
 from simulators.world.truth import draw_truth, stream
 from simulators.world.world import World
-from simulators.world.world_file import read_world_file
+from simulators.world.world_file import ProbeSpec, read_world_file
 
 
 class CellModel:
@@ -45,15 +48,33 @@ class CellModel:
         self.truth = draw_truth(file, seed, error_factor)
         joints = len(file.arm.nodes)
         factors = np.array(self.scenario.joint_noise_factors or [1.0] * joints) * noise_factor
-        self.arm = make_robot(robot, file.arm, stream(seed, "noise.joints"), factors, motion_speed)
+        mechanics = Mechanics(file.arm, stream(seed, "noise.joints"), factors, motion_speed)
+        robot_kind = choose(robot, "robot", ROBOTS)
+        wired_robot = robot_kind.make(robot_kind.settings, mechanics)
+        self.arm: MechanicalArm = wired_robot.model
         self.world = World(file, self.truth, self.arm, noise_factor, self.scenario.part_present, cache_dir)
         truth = self.truth
         rng = stream(seed, "noise.laser.reading")
         optics = Optics(file.laser, self.world, truth.laser_scale, truth.laser_offset_m, rng, noise_factor)
-        self.laser_wire = make_laser(laser, optics)
+        laser_kind = choose(laser, "laser", LASERS)
         self.contact = StylusContact(self.world, self.arm)
-        self.probe_wire = make_probe(probe, self.contact, file.probe, stream(seed, "noise.probe.reading"))
-        self.laser, self.probe = self.laser_wire.model, self.probe_wire.model
+        stylus = stylus_of(self.contact, stream(seed, "noise.probe.reading"))
+        probe_kind = choose(probe, "probe", PROBES)
+        self.devices: dict[str, Simulated] = {
+            "robot": wired_robot,
+            "laser": laser_kind.make(laser_kind.settings, optics),
+            "probe": probe_kind.make(_wired_to(file.probe, probe_kind), stylus),
+        }
+
+    @property
+    def laser(self) -> Any:
+        """The simulated laser, for those who know its kind."""
+        return self.devices["laser"].model
+
+    @property
+    def probe(self) -> Any:
+        """The simulated probe, for those who know its kind."""
+        return self.devices["probe"].model
 
     def bump(self) -> None:
         """Knock the laser as the scenario says."""
@@ -63,3 +84,9 @@ class CellModel:
         """What only the demo and the tests may know."""
         bump = [*self.scenario.bump_translation_m.tolist(), *self.scenario.bump_rotation_rad.tolist()]
         return {**self.truth.to_json(), "scenario": self.scenario.name, "bump": bump}
+
+
+def _wired_to(spec: ProbeSpec, kind: DeviceKind[Stylus]) -> dict[str, Setting]:
+    """The settings of this kind, with what the world says of them."""
+    said: dict[str, Setting] = {"channel": spec.channel, "reply_delay_ms": spec.reply_delay_s * 1e3}
+    return {key: said.get(key, value) for key, value in kind.settings.items()}

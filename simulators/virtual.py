@@ -9,10 +9,9 @@ from pathlib import Path
 
 from estimation.errors import DeviceError
 from simulators.cell import CellModel
+from simulators.device_kind import Simulated
 from simulators.faults import FaultyBytes, FaultyCan, WireFaults
 from simulators.interfaces import ByteDevice, CanDevice, Frame
-from simulators.robots.canopen_arm import SimulatedArm
-from simulators.wired import Wired
 
 _OTHER_CELL = "Simulate the robot that the cell file names"
 EPOCH_UTC_S = 1_790_000_000.0  # of virtual time zero, so that records look alike in every run
@@ -46,7 +45,7 @@ class _VirtualLink:
     """What both kinds of link share: being unplugged, and waiting."""
 
     def __init__(self, name: str, clock: VirtualClock) -> None:
-        self._name, self._clock = name, clock
+        self.name, self._clock = name, clock
         self.faults = WireFaults()
         self.unplug_at_s = math.inf  # the cable is pulled from then on, also in the middle of a wait
         self.opened = 0  # how often it was reopened
@@ -63,7 +62,7 @@ class _VirtualLink:
     def _check_plugged(self) -> float:
         now = self._clock.now_s()
         if now >= self.unplug_at_s:
-            raise DeviceError(f"Port {self._name} is gone", "Check the cable and the power of the device")
+            raise DeviceError(f"Port {self.name} is gone", "Check the cable and the power of the device")
         return now
 
     def _wait(self, output_s: float, deadline_s: float) -> bool:
@@ -135,10 +134,31 @@ class VirtualByteLink(_VirtualLink):
         self._device.discard(self._clock.now_s())
 
 
+VirtualLink = VirtualCanLink | VirtualByteLink
+
+
+def virtual_links(name: str, clock: VirtualClock, find: Callable[[], Simulated]) -> dict[str, VirtualLink]:
+    """A link to each socket of a device, as drivers name them: "robot", "robot.stop".
+
+    `find` gives the device that is there when a byte link is opened.
+    """
+    device = find()
+    if device.can is not None:
+        return {name: VirtualCanLink(name, clock, device.can)}
+
+    def link_to(socket: str) -> VirtualByteLink:
+        def connect() -> ByteDevice:
+            return find().connect[socket]()
+
+        return VirtualByteLink(f"{name}.{socket}" if socket else name, clock, connect)
+
+    return {link.name: link for link in map(link_to, device.connect)}
+
+
 class VirtualPorts:
     """The links of a cell by name; addresses and settings of real ports mean nothing here."""
 
-    def __init__(self, links: Mapping[str, VirtualCanLink | VirtualByteLink]) -> None:
+    def __init__(self, links: Mapping[str, VirtualLink]) -> None:
         self.links = links
 
     def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> VirtualCanLink:
@@ -197,22 +217,11 @@ class SimulatedCell:
         )
         self.truth, self.world = self.model.truth, self.model.world
         self.arm, self.contact = self.model.arm, self.model.contact
-        self.laser_link = self._link("laser", self.model.laser_wire)
-        self.probe_link = self._link("probe", self.model.probe_wire)
-        links: dict[str, VirtualCanLink | VirtualByteLink] = {
-            name: VirtualByteLink(name, self.clock, connect)
-            for name, connect in self.model.arm.connections().items()
-        }
-        if isinstance(self.model.arm, SimulatedArm):
-            links["robot"] = VirtualCanLink("robot", self.clock, self.model.arm)
-        self.ports = VirtualPorts({**links, "laser": self.laser_link, "probe": self.probe_link})
-
-    def _link(self, name: str, wired: Wired) -> VirtualCanLink | VirtualByteLink:
-        if wired.can is not None:
-            return VirtualCanLink(name, self.clock, wired.can)
-        if wired.connect is None:
-            raise ValueError(f"{name} has no wire")
-        return VirtualByteLink(name, self.clock, wired.connect)
+        links: dict[str, VirtualLink] = {}
+        for name, device in self.model.devices.items():
+            links |= virtual_links(name, self.clock, lambda device=device: device)  # type: ignore[misc]
+        self.ports = VirtualPorts(links)
+        self.laser_link, self.probe_link = links["laser"], links["probe"]
 
     @property
     def arm_link(self) -> VirtualCanLink:

@@ -160,15 +160,26 @@ def demo(
             help="Where each demo makes a folder for cell, store and report. Default: truecell-demo.",
         ),
     ] = None,
+    devices: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="DEVICE",
+            help="A robot, laser or probe in place of the cell's own, such as ur, keyence-il or "
+            "robotiq-ft300: a file of cells/bench-block/variants. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the whole job against simulated devices. The result is compared with the simulated truth.
 
     Example: truecell demo --seed 7 --scenario bumped-laser
+    Example: truecell demo --with ur --with keyence-il --with robotiq-ft300
     """
     from controller.demo import run_demo
 
-    raise typer.Exit(run_demo(seed, scenario, folder, as_json))
+    raise typer.Exit(run_demo(seed, scenario, folder, as_json, devices=devices or ()))
 
 
 def add_to(app: typer.Typer) -> None:

@@ -3,17 +3,14 @@
 Framing and PDUs are pymodbus's; what the registers hold is from the manual's tables.
 """
 
-from collections.abc import Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu import bit_message as bits
 from pymodbus.pdu import register_message as registers
 
-from simulators.device_kind import DeviceKind, Setting, Simulated
-from simulators.modbus_server import ModbusConnection
-from simulators.signals import Ticker
+from simulators.probes.switch import Switch
 
 INPUTS: Final = 8
 OUTPUTS: Final = range(16, 24)
@@ -23,16 +20,6 @@ OUTPUT_WORD: Final = 302
 NAME: Final = (210, 211)
 KNOWN_FUNCTIONS: Final = (1, 2, 3, 4, 5, 6, 15, 16)
 UNIT: Final = 1
-
-
-class Switch(Protocol):
-    """What is wired to the counting input."""
-
-    closed: bool
-    count: int
-
-    def update(self, time_s: float) -> None:
-        """Bring `closed` and `count` up to that instant."""
 
 
 class Adam6052:
@@ -129,27 +116,3 @@ class Adam6052:
             self._outputs = value & 0xFF
             return True
         return False
-
-
-def _alone(settings: Mapping[str, Setting], seed: int) -> Simulated:
-    """A module whose counting input closes again and again."""
-    module = Adam6052(
-        Ticker(float(settings["period_s"])),
-        int(str(settings["model"]), 16),
-        int(settings["channel"]),
-        float(settings["reply_delay_ms"]) / 1000,
-    )
-    return Simulated(
-        module, {"modbus": lambda: ModbusConnection(module)}, restart=lambda time_s: module.restart()
-    )
-
-
-KIND: Final = DeviceKind(
-    name="adam-6052",
-    what="Advantech remote input with a touch probe, Modbus TCP",
-    link="tcp",
-    make=_alone,
-    settings={"model": "6052", "channel": 0, "reply_delay_ms": 1.5, "period_s": 0.02},
-    other={"model": "6050"},
-    sockets={"modbus": 502},
-)

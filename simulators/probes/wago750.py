@@ -3,14 +3,12 @@
 Source: WAGO-I/O-SYSTEM 750 CANopen manual, pages 113 to 129; mappings as in CiA 401.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from simulators.canopen_objects import Key, Row, Value, communication, entries_of, mapping
 from simulators.canopen_slave import CanopenSlave
-from simulators.device_kind import DeviceKind, Setting, Simulated
-from simulators.signals import Ticker
+from simulators.probes.switch import Switch
 
 DEVICE_TYPE: Final = 0x00030191  # CiA 401 with digital inputs and outputs
 WAGO: Final = 0x21
@@ -21,18 +19,6 @@ ANY_CHANGE: Final[Key] = (0x6006, 1)
 RISING: Final[Key] = (0x6007, 1)
 FALLING: Final[Key] = (0x6008, 1)
 OUTPUTS: Final[Key] = (0x6200, 1)
-
-
-class Switch(Protocol):
-    """What is wired to the input."""
-
-    closed: bool
-
-    def update(self, time_s: float) -> None:
-        """Bring `closed` up to that instant."""
-
-    def unchanged_until_s(self, time_s: float) -> float:
-        """`closed` does not change before this, as far as can be seen then."""
 
 
 def _table() -> list[Row]:
@@ -118,20 +104,3 @@ class Wago750(CanopenSlave):
         masks = [int(self.values[key]) for key in (ANY_CHANGE, RISING, FALLING)]
         watched = (old ^ new) & masks[0] | new & ~old & masks[1] | old & ~new & masks[2]
         return bool(self.values[ENABLED]) and bool(watched)
-
-
-def _alone(settings: Mapping[str, Setting], seed: int) -> Simulated:
-    """A station whose input closes again and again."""
-    spec = WagoSpec(node=int(settings["node"]), name=str(settings["name"]), channel=int(settings["channel"]))
-    station = Wago750(spec, Ticker(float(settings["period_s"])))
-    return Simulated(station, can=station, restart=station.restart)
-
-
-KIND: Final = DeviceKind(
-    name="wago-750-337",
-    what="WAGO station with a touch probe, CANopen CiA 401",
-    link="can",
-    make=_alone,
-    settings={"node": 20, "name": "750-337", "channel": 0, "period_s": 0.5},
-    other={"name": "750-338"},
-)

@@ -57,7 +57,7 @@ class AbbRobot(ControlledArm):
         self.client: AbbSession | None = None
 
     def connections(self) -> dict[str, Callable[[], ByteDevice]]:
-        return {"robot": self._connect}
+        return {"": self._connect}
 
     def _connect(self) -> "AbbSession":
         self.client = AbbSession(self)

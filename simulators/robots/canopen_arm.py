@@ -2,17 +2,15 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from estimation.transform import FloatArray
-from simulators.device_kind import DeviceKind, Setting, Simulated
 from simulators.interfaces import Frame
 from simulators.robots.drive import Drive, DriveSettings
 from simulators.robots.mechanism import MechanicalArm, reading_noise
-from simulators.world.world_file import ArmSpec, LinkSpec
+from simulators.world.world_file import ArmSpec
 
 COUNT_RAD: Final = math.pi / 180 / 1000  # the arm counts thousandths of a degree
 DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts: all answers to a SYNC come together
@@ -188,45 +186,3 @@ class SimulatedArm(MechanicalArm):
         self.advance(time_s)
         self.drives[joint].fault(code, 0x21)
         self._schedule()
-
-
-def _alone(settings: Mapping[str, Setting], seed: int) -> Simulated:
-    """Six drives without a world around them."""
-    nodes = tuple(int(node) for node in str(settings["nodes"]).split(","))
-    limit_rad = math.radians(float(settings["limit_deg"]))
-    spec = ArmSpec(
-        nodes=nodes,
-        device_name=str(settings["device_name"]),
-        serial_number=int(settings["serial_number"]),
-        speed_limit_rad_s=math.radians(90),
-        acceleration_rad_s2=math.radians(200),
-        quick_stop_rad_s2=math.radians(800),
-        enable_delay_s=float(settings["enable_delay_s"]),
-        boot_time_s=float(settings["boot_time_s"]),
-        fast_move_rad_s=math.radians(10),
-        noise_rad=math.radians(float(settings["noise_deg"])),
-        encoder_step_rad=COUNT_RAD,
-        start_joints_rad=np.zeros(len(nodes)),
-        links=tuple(LinkSpec({}, {}, -limit_rad, limit_rad) for _ in nodes),
-    )
-    arm = SimulatedArm(spec, np.random.default_rng(seed), motion_speed=float(settings["motion_speed"]))
-    return Simulated(arm, can=arm, restart=arm.restart, update=arm.advance)
-
-
-KIND: Final = DeviceKind(
-    name="canopen-402",
-    what="six-axis arm, CANopen CiA 402, behind an slcan dongle",
-    link="can",
-    make=_alone,
-    settings={
-        "nodes": "3,4,5,6,7,8",
-        "device_name": "PRBT",
-        "serial_number": 20260300,
-        "limit_deg": 170.0,
-        "noise_deg": 0.0015,
-        "enable_delay_s": 0.05,
-        "boot_time_s": 0.4,
-        "motion_speed": 1.0,
-    },
-    other={"serial_number": 20269900},
-)

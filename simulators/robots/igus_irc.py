@@ -75,7 +75,7 @@ class IgusRobot(ControlledArm):
         return self.settings.reply_s
 
     def connections(self) -> dict[str, Callable[[], ByteDevice]]:
-        return {"robot": lambda: ModbusConnection(self)}
+        return {"": lambda: ModbusConnection(self)}
 
     # -- what happens to it ----------------------------------------------------------------------
 

@@ -33,8 +33,12 @@ class MechanicalArm:
         """Let the robot fail with an error code of its own."""
         raise NotImplementedError
 
+    def restart(self, time_s: float) -> None:
+        """The supply drops for a moment."""
+        raise NotImplementedError
+
     def connections(self) -> dict[str, Callable[[], ByteDevice]]:
-        """What a client finds on each byte link of this robot; none if it is on a CAN bus."""
+        """What a client finds at each socket of this robot, "" being the main one; none on a CAN bus."""
         return {}
 
     def joints_at(self, time_s: float) -> FloatArray:

@@ -192,7 +192,7 @@ class MelfaRobot(ControlledArm):
             sessions[name] = MelfaSession(self)
             return sessions[name]
 
-        return {name: partial(connect, name) for name in ("robot", "robot.stop")}
+        return {name: partial(connect, name) for name in ("", "stop")}
 
     def _information(self) -> str:
         s = self.settings

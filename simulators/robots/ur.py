@@ -79,9 +79,9 @@ class UrRobot(ControlledArm):
 
     def connections(self) -> dict[str, Callable[[], ByteDevice]]:
         return {
-            "robot": lambda: RtdeSession(self, self.settings.version),
-            "robot.script": lambda: ScriptSession(self),
-            "robot.dashboard": lambda: DashboardSession(self),
+            "": lambda: RtdeSession(self, self.settings.version),
+            "script": lambda: ScriptSession(self),
+            "dashboard": lambda: DashboardSession(self),
         }
 
     # -- what can be seen ------------------------------------------------------------------------

@@ -2,17 +2,14 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.transform import FloatArray, Transform
-from simulators.device_kind import DeviceKind, Setting, Simulated
+from estimation.transform import FloatArray
 from simulators.sensors.beam import Beam
-from simulators.signals import Signal
-from simulators.world.world_file import LaserSpec, Placement
+from simulators.world.world_file import LaserSpec
 
 IntArray = NDArray[np.int64]
 
@@ -253,51 +250,3 @@ class OptoNcdt1420:
             "Hardware-rev: 00\r\n"
             "Boot-version: 001.000\r\n"
         )
-
-
-def _alone(settings: Mapping[str, Setting], seed: int) -> Simulated:
-    """A sensor that sees a target run through its measuring range."""
-    start_m, range_m = float(settings["range_start_mm"]) / 1000, float(settings["range_mm"]) / 1000
-    spec = LaserSpec(
-        model=str(settings["model"]),
-        serial_number=str(settings["serial_number"]),
-        article="4120217",
-        version=str(settings["version"]),
-        baud=int(settings["baud"]),
-        range_start_m=start_m,
-        range_m=range_m,
-        max_incidence_rad=math.pi / 2,
-        point_noise_m=0.0,
-        reading_noise_m=float(settings["noise_mm"]) / 1000,
-        scale_sigma=0.0,
-        offset_sigma_m=0.0,
-        clock_drift=float(settings["clock_drift"]),
-        latency_s=float(settings["latency_ms"]) / 1000,
-        mount=Placement(Transform("flange", "laser", np.eye(4)), 0.0),
-    )
-    signal = Signal(start_m, start_m + range_m, float(settings["period_s"]))
-    sensor = OptoNcdt1420(spec, signal, 0.0, 0.0, np.random.default_rng(seed))
-    return Simulated(
-        sensor, {"": lambda: sensor}, signal=signal, baud=lambda: sensor.baud, restart=sensor.restart
-    )
-
-
-KIND: Final = DeviceKind(
-    name="optoncdt-1420",
-    what="Micro-Epsilon distance laser on RS-422",
-    link="serial",
-    make=_alone,
-    settings={
-        "model": "ILD1420-100",
-        "serial_number": "1420100",
-        "version": "001.010",
-        "baud": 921600,
-        "range_start_mm": 50.0,
-        "range_mm": 100.0,
-        "noise_mm": 0.0,
-        "latency_ms": 4.0,
-        "clock_drift": 20e-6,
-        "period_s": 20.0,
-    },
-    other={"serial_number": "1420999"},
-)

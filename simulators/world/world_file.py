@@ -145,19 +145,10 @@ class Scenario:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wires:
-    arm: str
-    laser: str
-    probe_host: str
-    probe_port: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class WorldFile:
     """Everything in world.toml; SI units, frames base, flange, laser, probe, plate, bar, sphere, part."""
 
     name: str
-    wires: Wires
     arm: ArmSpec
     laser: LaserSpec
     probe: ProbeSpec
@@ -296,14 +287,11 @@ def read_world_file(directory: Path) -> WorldFile:
     except tomllib.TOMLDecodeError as error:
         raise CellFileError(f"{path}: {error}", "Correct the file") from error
     root = StrictTable(content, "world.toml")
-    world, wires, plate = root.table("world"), root.table("wires"), root.table("plate")
+    world, plate = root.table("world"), root.table("plate")
     bar, sphere, part = root.table("bar"), root.table("sphere"), root.table("part")
     scenarios = root.take("scenarios")
     result = WorldFile(
         name=world.text("name"),
-        wires=Wires(
-            wires.text("arm"), wires.text("laser"), wires.text("probe_host"), wires.integer("probe_port")
-        ),
         arm=_arm(root.table("arm")),
         laser=_laser(root.table("laser")),
         probe=_probe(root.table("probe")),
@@ -332,6 +320,6 @@ def read_world_file(directory: Path) -> WorldFile:
             name: _scenario(name, StrictTable(t, f"scenarios.{name}")) for name, t in scenarios.items()
         },
     )
-    for table in (root, world, wires, plate, bar, sphere, part):
+    for table in (root, world, plate, bar, sphere, part):
         table.end()
     return result

@@ -113,6 +113,7 @@ OPTO = LaserConfig(
 )
 AMS = AmsConfig(16, serial_number="335001")
 KEYENCE = DlRs1aConfig("IL", zero_m=0.1, towards=True)
+GAUGE = DlRs1aConfig("GT2", response_s=0.003, baud=38400)
 ROBOTIQ = Ft300Config(serial_number="FTD-0417", stale_s=STALE_S)
 LMI = GocatorConfig(0.3, 200.0, job="block")
 WAGO = WagoConfig(20, model="750-337")
@@ -144,12 +145,13 @@ PAIRS = [
         unseen=NO_CHECK,
     ),
     *(
-        Pair(f"rf60x-{name}", partial(on, make, RIFTEK), partial(measure_range, 1e-5), unseen=unseen)
+        Pair(f"riftek-{name}", partial(on, make, RIFTEK), partial(measure_range, 1e-5), unseen=unseen)
         for name, make, unseen in RIFTEKS
     ),
     Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=FRAMED),
-    Pair("dl-rs1a", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=SWAPPED),
-    Pair("ft-300", partial(on, Ft300, ROBOTIQ), measure_force),
+    Pair("keyence-il", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=SWAPPED),
+    Pair("keyence-gt2", partial(on, DlRs1a, GAUGE), partial(measure_range, 1e-5), unseen=SWAPPED),
+    Pair("robotiq-ft300", partial(on, Ft300, ROBOTIQ), measure_force),
     Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=FRAMED),
     Pair(
         "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=FRAMED

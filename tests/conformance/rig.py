@@ -1,19 +1,20 @@
 """One pair in virtual time: device, wires with faults, driver."""
 
 import contextlib
-from collections.abc import Callable
 
 import numpy as np
 
 from drivers.capabilities import Device
 from estimation.errors import DeviceError
 from simulators.faults import FaultyCan
-from simulators.interfaces import ByteDevice
 from simulators.registry import DEVICES
-from simulators.virtual import VirtualByteLink, VirtualCanLink, VirtualClock, VirtualPorts
+from simulators.virtual import VirtualClock, VirtualPorts, virtual_links
 from tests.conformance.pairs import Pair
 
-SETTINGS = {"adam-6052": {"period_s": 0.5}}  # slow enough for every touch to be told apart
+SETTINGS = {
+    "adam-6052": {"period_s": 0.5},  # slow enough for every touch to be told apart
+    "robotiq-ft300": {"noise_n": 0.0},
+}
 PAUSE_S = 0.5
 HEALS_IN = 6  # attempts to connect
 
@@ -25,26 +26,11 @@ class Rig:
         self.settings = SETTINGS.get(pair.kind, {})
         self.device = self.kind.simulated(seed, **self.settings)
         self.rng = np.random.default_rng(seed)
-        links: dict[str, VirtualCanLink | VirtualByteLink]
-        if self.device.can is not None:
-            links = {"robot": VirtualCanLink("robot", self.clock, self.device.can)}
-        else:
-            links = {
-                name or "robot": VirtualByteLink(name or "robot", self.clock, self._find(name))
-                for name in self.device.connect
-            }
+        links = virtual_links("robot", self.clock, lambda: self.device)
         self.links = list(links.values())
         for number, link in enumerate(self.links):
             link.faults.reseed(seed + number)
         self.driver: Device = pair.driver(VirtualPorts(links), self.clock)
-
-    def _find(self, name: str) -> Callable[[], ByteDevice]:
-        """What a client finds at a socket then: another device may be there by now."""
-
-        def connect() -> ByteDevice:
-            return self.device.connect[name]()
-
-        return connect
 
     def work(self) -> None:
         self.pair.work(self.driver, self.device, self.clock, self.rng)

@@ -20,6 +20,7 @@ from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 from canopen.profiles.p402 import BaseNode402
 from pymodbus.client import ModbusTcpClient
 
+from controller.demo_cell import copy_bench_block
 from simulators.ports import garbled
 from simulators.slcan import SlcanDongle
 
@@ -31,13 +32,15 @@ class Simulator:
 
     def __init__(self, cell_dir: Path, run_dir: Path, *options: str) -> None:
         command = [sys.executable, "-m", "simulators", str(cell_dir), "--run-dir", str(run_dir)]
-        self.process = subprocess.Popen(
-            [*command, "--probe-port", "0", *options], stdout=subprocess.PIPE, text=True
-        )
+        self.process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == "ready\n"
         self.run_dir = run_dir
         self.info: dict[str, Any] = json.loads((run_dir / "simulator.json").read_text())
+        self.robot = self.info["devices"]["robot"][""]
+        self.laser = self.info["devices"]["laser"][""]
+        host, _, port = self.info["devices"]["probe"][""].rpartition(":")
+        self.probe = host, int(port)
 
     def control(self, **request: Any) -> dict[str, Any]:
         with socket.socket(socket.AF_UNIX) as connection:
@@ -52,8 +55,13 @@ class Simulator:
 
 
 @pytest.fixture(scope="module")
-def simulator(cell_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulator]:
-    simulator = Simulator(cell_dir, tmp_path_factory.mktemp("run"), "--motion-speed", "20")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return copy_bench_block(tmp_path_factory.mktemp("cell")).parent
+
+
+@pytest.fixture(scope="module")
+def simulator(home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulator]:
+    simulator = Simulator(home, tmp_path_factory.mktemp("run"), "--motion-speed", "20")
     yield simulator
     assert simulator.end() == 0
 
@@ -105,7 +113,7 @@ def dictionary() -> canopen.ObjectDictionary:
 
 @pytest.fixture
 def network(simulator: Simulator) -> Iterator[canopen.Network]:
-    bus = can.Bus(interface="slcan", channel=simulator.info["arm"], bitrate=1_000_000, sleep_after_open=0)
+    bus = can.Bus(interface="slcan", channel=simulator.robot, bitrate=1_000_000, sleep_after_open=0)
     network = canopen.Network(bus)
     network.connect()
     yield network
@@ -168,7 +176,7 @@ def read_until(port: serial.Serial, end: bytes, timeout_s: float = 5.0) -> bytes
 
 
 def test_the_laser_at_its_own_speed_and_at_another(simulator: Simulator) -> None:
-    with serial.Serial(simulator.info["laser"], 921600, timeout=0.05) as port:
+    with serial.Serial(simulator.laser, 921600, timeout=0.05) as port:
         port.write(b"OUTPUT NONE\n")
         read_until(port, b"OUTPUT NONE\r\n->")
         port.write(b"GETINFO\n")
@@ -197,7 +205,7 @@ def test_the_laser_at_its_own_speed_and_at_another(simulator: Simulator) -> None
 
 
 def test_the_remote_io_answers_an_independent_client(simulator: Simulator) -> None:
-    host, port = simulator.info["probe"]
+    host, port = simulator.probe
     client = ModbusTcpClient(host, port=port, timeout=5)
     assert client.connect()
     other = ModbusTcpClient(host, port=port, timeout=5)
@@ -212,22 +220,22 @@ def test_the_remote_io_answers_an_independent_client(simulator: Simulator) -> No
 
 
 def test_a_cable_can_be_pulled_and_put_back(simulator: Simulator) -> None:
-    port = serial.Serial(simulator.info["laser"], 921600, timeout=0.2)
+    port = serial.Serial(simulator.laser, 921600, timeout=0.2)
     answer = simulator.control(do="unplug", device="laser")
-    assert answer["ok"] and answer["plugged"] == {"arm": True, "laser": False, "probe": True}
+    assert answer["ok"] and answer["plugged"] == {"robot": True, "laser": False, "probe": True}
     with pytest.raises((serial.SerialException, OSError)):
         for _ in range(10_000):
             port.read(100)
     port.close()
-    assert not Path(simulator.info["laser"]).exists()
+    assert not Path(simulator.laser).exists()
     assert simulator.control(do="plug", device="laser")["plugged"]["laser"]
-    with serial.Serial(simulator.info["laser"], 921600, timeout=0.2) as again:
+    with serial.Serial(simulator.laser, 921600, timeout=0.2) as again:
         again.write(b"OUTPUT NONE\n")
         assert b"->" in read_until(again, b"OUTPUT NONE\r\n->")
 
 
 def test_the_probe_can_be_unplugged(simulator: Simulator) -> None:
-    host, port = simulator.info["probe"]
+    host, port = simulator.probe
     client = ModbusTcpClient(host, port=port, timeout=1, retries=0)
     assert client.connect()
     simulator.control(do="unplug", device="probe")
@@ -250,7 +258,7 @@ def test_the_player_can_change_the_world(simulator: Simulator) -> None:
     assert not simulator.control(do="part", present=False)["part_present"]
     assert simulator.control(do="part", present=True)["part_present"]
     assert simulator.control(do="bump", translation_m=[0, 1e-3, 0])["ok"]
-    assert simulator.control(do="silence", device="arm", seconds=0.01)["ok"]
+    assert simulator.control(do="silence", device="robot", seconds=0.01)["ok"]
 
 
 def test_the_truth_is_written_for_those_who_compare(simulator: Simulator) -> None:
@@ -259,11 +267,10 @@ def test_the_truth_is_written_for_those_who_compare(simulator: Simulator) -> Non
     assert len(truth["poses"]["laser"]) == 4
 
 
-def test_it_ends_cleanly_and_a_scenario_must_exist(
-    simulator: Simulator, cell_dir: Path, tmp_path: Path
-) -> None:
+def test_it_ends_cleanly_and_a_scenario_must_exist(simulator: Simulator, tmp_path: Path) -> None:
     shutil.copytree(simulator.run_dir / "cache", tmp_path / "a" / "cache")  # parsing the CAD takes seconds
-    other = Simulator(cell_dir, tmp_path / "a", "--scenario", "part-missing", "--seed", "7")
+    home = copy_bench_block(tmp_path / "home").parent
+    other = Simulator(home, tmp_path / "a", "--scenario", "part-missing", "--seed", "7")
     assert not other.control(do="status")["part_present"]
     other.control(do="quit")
     assert other.process.wait(10) == 0
@@ -272,7 +279,7 @@ def test_it_ends_cleanly_and_a_scenario_must_exist(
         sys.executable,
         "-m",
         "simulators",
-        str(cell_dir),
+        str(home),
         "--run-dir",
         str(tmp_path),
         "--scenario",

@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -13,16 +12,17 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from controller.console.app import main
+from controller.demo_cell import copy_bench_block
 from controller.store import Store
 
 ROOT: Final = Path(__file__).parents[2]
-BENCH_BLOCK: Final = ROOT / "cells" / "bench-block"
 DEADLINE_S: Final = 60.0  # far more than anything takes, also on a busy machine
 PATIENCE: Final = 8  # the processes of all tests share the computer
 HASTE: Final = (  # what a simulated arm does not need
@@ -39,6 +39,7 @@ _NURSERY: Final = """
 import os, shlex, signal, sys
 from pathlib import Path
 from controller.console.app import main
+from controller.demo_cell import copy_bench_block
 import controller.daemon.reports, controller.daemon.serve, controller.service
 from controller.cellfile import load_cell
 from controller.planning.feasibility import limit_mistakes
@@ -93,11 +94,8 @@ class WireCell:
     def __post_init__(self) -> None:
         self._short = Path(tempfile.mkdtemp(prefix="tc-"))
         self.home = self.folder / "cell"
-        shutil.copytree(BENCH_BLOCK, self.home, ignore=shutil.ignore_patterns("run", ".truecell"))
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
-        text = re.sub(r"\nport = 5502\b", f"\nport = {self.port}", self.cell_file.read_text())
+        text = copy_bench_block(self.home).read_text()
+        self.port = tomllib.loads(text)["probe"]["port"]
         if self.drop_phases_after:
             end = text.index(f'name = "{self.drop_phases_after}"')
             following = text.find("[[job.phases]]", end)
@@ -168,7 +166,7 @@ class WireCell:
     def simulate(self) -> None:
         """`truecell simulate`, ready when this returns."""
         options = ["--seed", str(self.seed), "--motion-speed", f"{self.motion_speed:g}"]
-        options += ["--scenario", self.scenario, "--probe-port", str(self.port)]
+        options += ["--scenario", self.scenario]
         log = self.folder / "simulators.log"
         self.simulators = self.start("simulate", str(self.home), *options, log=log)
         wait_until(self._simulates, "simulators ready")

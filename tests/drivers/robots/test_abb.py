@@ -78,7 +78,7 @@ def test_the_speed_of_the_flange_is_told(rig: RobotRig) -> None:
 def test_tool_and_work_object_of_another_program_do_not_matter(cache: Path) -> None:
     """Poses mean the flange in the base, whatever was set before."""
     rig = RobotRig(cache, ABB)
-    stranger = rig.arm.connections()["robot"]()
+    stranger = rig.arm.connections()[""]()
     stranger.receive(b"06 0 0 150 0 1 0 0 #", 0.0)
     assert stranger.take(1.0) == b"6 1 "
     rig.robot.connect()
@@ -170,7 +170,7 @@ class Client:
     """Sends strings and takes what comes."""
 
     def __init__(self, rig: RobotRig) -> None:
-        self.session, self.time_s = rig.arm.connections()["robot"](), rig.clock.now_s()
+        self.session, self.time_s = rig.arm.connections()[""](), rig.clock.now_s()
 
     def say(self, data: bytes, within_s: float = 5.0) -> bytes:
         self.session.receive(data, self.time_s)

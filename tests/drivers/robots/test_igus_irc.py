@@ -133,7 +133,7 @@ def test_a_robot_without_reference_is_refused(cache: Path) -> None:
 
 def test_the_worked_frames_on_the_wire(rig: RobotRig) -> None:
     """The manual's example, byte for byte, starts a linear move of the simulated controller."""
-    session = rig.arm.connections()["robot"]()
+    session = rig.arm.connections()[""]()
     pose = rig.arm.pose_of(rig.truth_rad())
     x = round(pose[0, 3] * 1e5) - 1000
     rest = b"".join(

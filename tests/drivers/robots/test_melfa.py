@@ -61,7 +61,7 @@ def test_another_robot_is_refused(cache: Path) -> None:
 
 def test_the_right_that_somebody_else_holds_is_named(cache: Path) -> None:
     rig = RobotRig(cache, MELFA_TCP)
-    other = rig.arm.connections()["robot.stop"]()
+    other = rig.arm.connections()["stop"]()
     other.receive(b"1;1;CNTLON\r", 0.0)
     with pytest.raises(MelfaRefusal, match=r"CNTLON: error 6020 \(no operation right\)"):
         rig.robot.connect()

@@ -172,7 +172,7 @@ def test_a_package_may_come_between_a_question_and_its_answer(rig: RobotRig) -> 
 
 def test_the_worked_session_by_its_bytes(rig: RobotRig) -> None:
     """Set-up, start and one package of time and pose, as the maker's client sees them."""
-    session = rig.arm.connections()["robot"]()
+    session = rig.arm.connections()[""]()
     at = rig.clock.now_s()
 
     def ask(wire: bytes) -> bytes:
@@ -214,7 +214,7 @@ def test_ur_rtde_reads_right_values_over_a_real_port(rig: RobotRig) -> None:
     start_s = loop.now_s
     tick = loop._clock.tick
     loop._clock.tick = lambda at_most_s: start_s + tick(at_most_s)  # type: ignore[method-assign]
-    TcpOutlet(loop, "127.83.17.4", 30004, arm.connections()["robot"])
+    TcpOutlet(loop, "127.83.17.4", 30004, arm.connections()[""])
     server = threading.Thread(target=loop.run)
     server.start()
     try:
