@@ -5,7 +5,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.harness import Row, medians, peak_mb
-from estimation.replicas import plane_hand_eye
+from estimation.replicas.hand_eye import plane_hand_eye
 from estimation.transform import FloatArray
 from tests.estimation.laser_plans import LaserPlan, laser_plan
 
@@ -73,10 +73,12 @@ def rows() -> list[Row]:
     peer = Peer(plan)
     start = (plan.origin_m, plan.beam, plan.normal, plan.offset_m)
 
-    def ours() -> object:
-        return plane_hand_eye(plan.rotations, plan.positions_m, plan.ranges_m, plan.weights, start)
+    fixed = (np.zeros_like(plan.weights), 1.0 / plan.weights)  # as the peers have them
 
-    found = plane_hand_eye(plan.rotations, plan.positions_m, plan.ranges_m, plan.weights, start)
+    def ours() -> object:
+        return plane_hand_eye(plan.rotations, plan.positions_m, plan.ranges_m, fixed, start)
+
+    found = plane_hand_eye(plan.rotations, plan.positions_m, plan.ranges_m, fixed, start)
     deviations = np.sqrt(np.diag(found.covariance))
     out = []
     for name, solve in (("gtsam, stacked", peer.gtsam), ("scipy lm, analytic Jacobian", peer.scipy)):

@@ -1,8 +1,7 @@
-"""Thousands of replicas of one estimate at once: chord Newton with the exact gradient and one shared Hessian.
+"""Replicas of a laser's hand-eye on a plane.
 
-Replicas of a plan differ in their readings only: rotations, positions and weights are shared. Residuals and
-gradients of all are then a few products of small matrices, and the Hessian at the mean solution serves every
-one. The gradient is exact, so each replica ends in its own optimum; the Hessian decides only how fast.
+Flange poses and variances are shared: in numpy, residuals and gradients of all replicas are a few products
+of small matrices.
 """
 
 from dataclasses import dataclass
@@ -11,10 +10,18 @@ from typing import Final
 import numpy as np
 
 from estimation.errors import EstimationError
+from estimation.replicas import LARGEST_ITERATIONS, TOLERANCE
 from estimation.transform import FloatArray
 
-_TOLERANCE: Final = 1e-4  # standard deviations: the last step of a replica
-_LARGEST_ITERATIONS: Final = 40
+try:
+    from estimation.replicas import chord_kernels as kernels
+except ImportError:  # numba is optional: numpy gives the same numbers
+    kernels = None  # type: ignore[assignment]
+
+COMPILED: Final = kernels is not None
+State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Axes = tuple[FloatArray, FloatArray]
+Variances = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,58 +49,107 @@ def plane_hand_eye(
     rotations: FloatArray,
     positions_m: FloatArray,
     ranges_m: FloatArray,
-    weights: FloatArray,
+    variances: Variances,
     start: tuple[FloatArray, FloatArray, FloatArray, float],
 ) -> PlaneHandEye:
     """The hand-eye of each replica.
 
     rotations, positions_m : (n, 3, 3), (n, 3) of the flange in the base.
     ranges_m : (k, n) readings, one row for each replica.
-    weights : (n,) one over the variance of each residual, 1/m^2.
+    variances : (n,) of each range, and (n,) of what else moves its residual, m^2. Weights follow from them at
+        each replica's own solution, as the estimator's do; with zeros in the first they stand still.
     start : origin, beam, normal and offset near the solution of the mean readings.
 
     Raises EstimationError where the plan does not determine the mean solution, or a replica does not settle.
     """
     origin_0, beam_0, normal_0, offset_0 = start
     mean = ranges_m.mean(axis=0)[None]
-    count = len(ranges_m)
     state = (origin_0[None], beam_0[None], normal_0[None], np.array([offset_0]))
-    for _ in range(_LARGEST_ITERATIONS):  # Gauss-Newton on the mean readings
-        hessian, across = _hessian(rotations, positions_m, mean[0], weights, state)
-        step = -_gradient(rotations, positions_m, mean, weights, state, across) @ np.linalg.inv(hessian)
+    for _ in range(LARGEST_ITERATIONS):  # Gauss-Newton on the mean readings
+        hessian, across = _hessian(rotations, positions_m, mean[0], variances, state)
+        step = -_gradient(rotations, positions_m, mean, variances, state, across) @ np.linalg.inv(hessian)
         state = _moved(state, step, across)
-        if np.max(np.abs(step) * np.sqrt(np.diag(hessian))) < _TOLERANCE:
+        if np.max(np.abs(step) * np.sqrt(np.diag(hessian))) < TOLERANCE:
             break
     else:
         raise EstimationError("The mean of the replicas did not settle", "Check the plan and the start")
-    hessian, across = _hessian(rotations, positions_m, mean[0], weights, state)
+    hessian, across = _hessian(rotations, positions_m, mean[0], variances, state)
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    deviations = np.sqrt(np.diag(covariance))
-    origin, beam, normal, offset = (np.repeat(part, count, axis=0) for part in state)
-    open_ = np.arange(count)  # replicas that have not settled yet: the last few take several times as long
-    for iteration in range(1, _LARGEST_ITERATIONS + 1):
-        state = (origin[open_], beam[open_], normal[open_], offset[open_])
-        step = -_gradient(rotations, positions_m, ranges_m[open_], weights, state, across) @ covariance
-        origin[open_], beam[open_], normal[open_], offset[open_] = _moved(state, step, across)
-        open_ = open_[np.max(np.abs(step) / deviations, axis=1) >= _TOLERANCE]
-        if not open_.size:
-            return PlaneHandEye(origin, beam, normal, offset, covariance, *across, iteration)
-    raise EstimationError(
-        f"A replica did not settle in {_LARGEST_ITERATIONS} iterations",
-        "The noise is too large for the linear result: run the estimator itself on each replica",
+    chord = _by_kernels if COMPILED else _by_numpy
+    (origin, beam, normal, offset), iterations = chord(
+        rotations, positions_m, ranges_m, variances, state, across, covariance
     )
+    if iterations < 0:
+        raise EstimationError(
+            f"A replica did not settle in {LARGEST_ITERATIONS} iterations",
+            "The noise is too large for the linear result: run the estimator itself on each replica",
+        )
+    return PlaneHandEye(origin, beam, normal, offset, covariance, *across, iterations)
 
 
-State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+def _by_kernels(
+    rotations: FloatArray,
+    positions_m: FloatArray,
+    ranges_m: FloatArray,
+    variances: Variances,
+    mean: State,
+    across: Axes,
+    covariance: FloatArray,
+) -> tuple[State, int]:
+    """Where each replica ends, and the iterations of the slowest, or -1."""
+    origin, beam, normal, offset = (part[0] for part in mean)
+    states = np.tile(np.array([*origin, 0.0, 0.0, 0.0, 0.0, offset]), (len(ranges_m), 1))
+    iterations = kernels.hand_eye(
+        np.ascontiguousarray(rotations.reshape(-1, 9).T),
+        np.ascontiguousarray(positions_m.T),
+        np.ascontiguousarray(ranges_m),
+        np.ascontiguousarray(variances[0]),
+        np.ascontiguousarray(variances[1]),
+        np.column_stack([across[0], beam]),
+        np.column_stack([across[1], normal]),
+        covariance,
+        np.sqrt(np.diag(covariance)),
+        TOLERANCE,
+        LARGEST_ITERATIONS,
+        states,
+    )
+    units = []
+    for pair, lead, first in ((across[0], beam, 3), (across[1], normal, 5)):
+        moved = lead + states[:, first : first + 2] @ pair.T
+        units.append(moved / np.sqrt(np.einsum("ki,ki->k", moved, moved))[:, None])
+    return (states[:, :3].copy(), units[0], units[1], states[:, 7].copy()), iterations
+
+
+def _by_numpy(
+    rotations: FloatArray,
+    positions_m: FloatArray,
+    ranges_m: FloatArray,
+    variances: Variances,
+    mean: State,
+    across: Axes,
+    covariance: FloatArray,
+) -> tuple[State, int]:
+    """As `_by_kernels`, all replicas at once."""
+    origin, beam, normal, offset = (np.repeat(part, len(ranges_m), axis=0) for part in mean)
+    deviations = np.sqrt(np.diag(covariance))
+    open_ = np.arange(len(ranges_m))  # not settled yet: the last few take several times as long
+    for iteration in range(1, LARGEST_ITERATIONS + 1):
+        state = (origin[open_], beam[open_], normal[open_], offset[open_])
+        step = -_gradient(rotations, positions_m, ranges_m[open_], variances, state, across) @ covariance
+        origin[open_], beam[open_], normal[open_], offset[open_] = _moved(state, step, across)
+        open_ = open_[~(np.max(np.abs(step) / deviations, axis=1) < TOLERANCE)]
+        if not open_.size:
+            return (origin, beam, normal, offset), iteration
+    return (origin, beam, normal, offset), -1
 
 
 def _gradient(
     rotations: FloatArray,
     positions_m: FloatArray,
     ranges_m: FloatArray,
-    weights: FloatArray,
+    variances: Variances,
     state: State,
-    across: tuple[FloatArray, FloatArray],
+    across: Axes,
 ) -> FloatArray:
     """(k, 8) of half the cost, with e = n . (R (t + d u) + p) - c."""
     origin, beam, normal, offset = state
@@ -101,6 +157,7 @@ def _gradient(
     count = len(origin)
     by_origin = (normal[:, :, None] * origin[:, None, :]).reshape(count, 9) @ turns.T
     by_beam = (normal[:, :, None] * beam[:, None, :]).reshape(count, 9) @ turns.T
+    weights = 1.0 / (variances[0] * by_beam**2 + variances[1])
     error = weights * (by_origin + ranges_m * by_beam + normal @ positions_m.T - offset[:, None])
     at_origin = (error @ turns).reshape(count, 3, 3)  # sums of w e R, and of w e d R
     at_range = ((error * ranges_m) @ turns).reshape(count, 3, 3)
@@ -130,7 +187,7 @@ def _tangent(by_vector: FloatArray, unit: FloatArray, across: FloatArray) -> Flo
     return np.asarray((by_vector - along[:, None] * unit) @ across * length[:, None])
 
 
-def _moved(state: State, step: FloatArray, across: tuple[FloatArray, FloatArray]) -> State:
+def _moved(state: State, step: FloatArray, across: Axes) -> State:
     origin, beam, normal, offset = state
     return (
         origin + step[:, :3],
@@ -148,8 +205,8 @@ def _turned(unit: FloatArray, step: FloatArray, across: FloatArray) -> FloatArra
 
 
 def _hessian(
-    rotations: FloatArray, positions_m: FloatArray, ranges_m: FloatArray, weights: FloatArray, state: State
-) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    rotations: FloatArray, positions_m: FloatArray, ranges_m: FloatArray, variances: Variances, state: State
+) -> tuple[FloatArray, Axes]:
     """(8, 8) of Gauss and Newton at one solution, and the axes across its beam and normal."""
     origin, beam, normal = (part[0] for part in state[:3])
     across = (_across(beam), _across(normal))
@@ -158,6 +215,7 @@ def _hessian(
     jacobian = np.column_stack(
         [by_t, ranges_m[:, None] * by_t @ across[0], point @ across[1], np.full(len(point), -1.0)]
     )
+    weights = 1.0 / (variances[0] * (by_t @ beam) ** 2 + variances[1])
     scale = np.linalg.norm(np.sqrt(weights)[:, None] * jacobian, axis=0)
     singular = np.linalg.svd(np.sqrt(weights)[:, None] * jacobian / scale, compute_uv=False)
     if len(jacobian) < 8 or singular[-1] < 1e-9 * singular[0]:
