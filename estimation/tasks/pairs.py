@@ -182,6 +182,8 @@ class PosePairs(PairTask):
     task: ClassVar[str] = "pose-pairs"
     reported: ClassVar[str] = "sensor_T_object"
     blocks: ClassVar[tuple[tuple[str, str], ...]] = (("sensor", "flange"), ("object", "base"))
+    sensor: ClassVar[str] = "sensor"
+    object: ClassVar[str] = "object"
 
     def check_motion(self, a: FloatArray) -> list[Finding]:
         return checks.orientations(a) + checks.positions(a)

@@ -7,6 +7,7 @@ from estimation.tasks import camera, laser, pairs, probe
 from estimation.tasks.pairs import PairTask
 from estimation.tasks.sensing import SensorTask
 from estimation.tasks.solve import Problem
+from estimation.tasks.two_robots import TwoRobots
 
 _SENSOR_KINDS: Final[tuple[type[SensorTask], ...]] = (
     laser.PointLaserOnPlane,
@@ -27,5 +28,5 @@ SENSOR_TASKS: Final[Mapping[str, type[SensorTask]]] = {kind.task: kind for kind 
 PAIR_TASKS: Final[Mapping[str, type[PairTask]]] = {kind.task: kind for kind in _PAIR_KINDS}
 """A sensor reports whole poses, or how it moved."""
 
-TASKS: Final[Mapping[str, type[Problem]]] = {**SENSOR_TASKS, **PAIR_TASKS}
+TASKS: Final[Mapping[str, type[Problem]]] = {**SENSOR_TASKS, **PAIR_TASKS, TwoRobots.task: TwoRobots}
 """All of them."""

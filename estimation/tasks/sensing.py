@@ -19,6 +19,7 @@ from estimation.transform import FloatArray, Transform
 
 _MOST_FOR_A_START: Final = 200  # readings: a start needs no more, and its cost grows with them
 _ON_A_FACE: Final = 5.0  # standard deviations
+_ASYMMETRIC: Final = 1e-6  # of the largest element: rounding in a file
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,6 +31,7 @@ class SensorTask:
     motion : `Poses` or `Joints` of the arm.
     mount, mount_std : prior of the mount (near_T_sensor, where near is "flange", or "base" of a sensor
         that stands beside), std of each of its freedoms, m and rad; both or neither. Zeros hold it.
+    mount_covariance : (k, k) of its k freedoms instead, form A, as an earlier calibration leaves it.
     scale_std, offset_std_m : shared errors of the sensor; 0 leaves them out.
     consider : names of shared errors that are carried and not updated.
     """
@@ -37,6 +39,7 @@ class SensorTask:
     motion: Motion
     mount: Transform | None = None
     mount_std: ArrayLike | None = None
+    mount_covariance: FloatArray | None = None
     scale_std: float = 0.0
     offset_std_m: float = 0.0
     consider: tuple[str, ...] = ()
@@ -100,6 +103,7 @@ class SensorTask:
             lambda: checks.numbers(self.arrays()),
             lambda: checks.indices(self.indices()),
             self._check_noise,
+            self._check_mount,
             lambda: checks.lengths(self._lengths()),
             self._check_geometry,
         )
@@ -110,6 +114,15 @@ class SensorTask:
     def _check_noise(self) -> list[Finding]:
         covariance = self.readings().covariance
         return checks.deviations({"variance of readings": np.linalg.eigvalsh(covariance)})
+
+    def _check_mount(self) -> list[Finding]:
+        covariance, count = self.mount_covariance, len(self.mount_freedoms)
+        if covariance is None:
+            return []
+        found = checks.numbers({"mount_covariance": (covariance, (count, count))})
+        if not found and np.abs(covariance - covariance.T).max() > _ASYMMETRIC * np.abs(covariance).max():
+            found = [Finding(Cause.NOISE, "mount_covariance is not symmetric", "Give P, not its square root")]
+        return found or checks.deviations({"variance of the mount": np.linalg.eigvalsh(covariance)})
 
     def _check_geometry(self) -> list[Finding]:
         belief, readings = self.belief(), self.readings()
@@ -144,8 +157,12 @@ class SensorTask:
         near, far = self.frames
         belief = Belief()
         pose = self.mount if self.mount is not None else Transform(near, self.sensor, np.eye(4))
-        std = np.inf if self.mount is None or self.mount_std is None else self.mount_std
-        belief = belief.with_block(self.sensor, pose, std=np.asarray(std), freedoms=self.mount_freedoms)
+        freedoms = self.mount_freedoms
+        if self.mount is not None and self.mount_covariance is not None:
+            belief = belief.with_block(self.sensor, pose, covariance=self.mount_covariance, freedoms=freedoms)
+        else:
+            std = np.inf if self.mount is None or self.mount_std is None else self.mount_std
+            belief = belief.with_block(self.sensor, pose, std=np.asarray(std), freedoms=freedoms)
         holder = Transform(far, self.object, np.eye(4))
         belief = belief.with_block(self.object, holder, std=np.inf, freedoms=self.object_freedoms)
         if self.scale_std:

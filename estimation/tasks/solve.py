@@ -150,9 +150,11 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Minimum:
+class Minimum:
+    """Where a start rolled to: cost, and values of the flat blocks."""
+
     cost: float
-    values: Mapping[str, Value]  # of the flat blocks
+    values: Mapping[str, Value]
 
 
 def solve(problem: Problem, explain: bool = True) -> Result:
@@ -187,7 +189,7 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
     try:
         belief, model = problem.belief(), problem.model()
         every = np.ones(len(model), dtype=np.bool_)
-        minima, reason = _minima(problem, model, problem.starts(), every)
+        minima, reason = descents(problem, model, problem.starts(), every)
     except EstimationError as error:
         return refused(problem.task, sight, error)
     if not minima:
@@ -205,7 +207,7 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
         findings += problem.diagnose(values_of(found.belief), found.rejected)
         # What was left out must not decide between solutions either.
         again = [minimum.values for minimum in minima]
-        minima = _minima(problem, model, again, ~found.rejected)[0] or minima
+        minima = descents(problem, model, again, ~found.rejected)[0] or minima
     ambiguity = None
     for other in minima[1:]:
         if apart(found.belief, minima[0].values, other.values):
@@ -259,11 +261,11 @@ def refused(task: str, findings: Sequence[Finding], error: EstimationError | Non
     return Result(task, Status.REFUSED, (*findings, Finding(cause, error.problem, error.remedy)))
 
 
-def _minima(
+def descents(
     problem: Problem, model: Model, starts: Sequence[Mapping[str, Value]], used: NDArray[np.bool_]
-) -> tuple[list[_Minimum], EstimationError]:
+) -> tuple[list[Minimum], EstimationError]:
     """Where the starts roll to on the rows `used` (m,), lowest cost first; why the last that failed did."""
-    found: list[_Minimum] = []
+    found: list[Minimum] = []
     reason = EstimationError("No start was found", "Measure from more and other directions")
     belief = problem.rough()
     for values in starts:
@@ -275,7 +277,7 @@ def _minima(
             continue
         reached = chart.at(fit.z)[0]
         settled = problem.settled({name: reached[name] for name in values})
-        found.append(_Minimum(fit.costs[-1][-1], settled))
+        found.append(Minimum(fit.costs[-1][-1], settled))
     return sorted(found, key=lambda minimum: minimum.cost), reason
 
 

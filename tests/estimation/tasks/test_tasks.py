@@ -25,11 +25,12 @@ from tests.estimation.tasks.cells import (
     to_plane,
 )
 from tests.estimation.tasks.pair_cells import PAIR_CELLS
+from tests.estimation.tasks.two_robot_cells import TWO_ROBOT_CELLS
 from tests.estimation.twin import LASER, PLATE_M, Sizes, Truth, arm
 from tests.estimation.twin_poses import plate_poses
 
 SEEDS = (11,)
-ALL_CELLS: dict[str, Make] = {**CELLS, **PAIR_CELLS}
+ALL_CELLS: dict[str, Make] = {**CELLS, **PAIR_CELLS, **TWO_ROBOT_CELLS}
 
 
 def normalised_error(result: Result, truth: dict[str, FloatArray]) -> tuple[float, int]:
