@@ -68,7 +68,7 @@ def plan_job(cell: Cell, phase: str | None = None) -> tuple[PlannedPhase, ...]:
     reachable = {item.phase: item for item in feasibility(cell)}
     return tuple(
         PlannedPhase(name, limit_m, plan, reachable.get(name), duration_s(cell, plan.steps))
-        for name, limit_m, plan in _plans(cell)
+        for name, limit_m, plan in _plans(cell, {name: item.takes for name, item in reachable.items()})
         if phase in (None, name)
     )
 
@@ -118,11 +118,11 @@ def _counts(steps: tuple[Step, ...]) -> dict[str, int]:
     return counts
 
 
-def _plans(cell: Cell) -> list[tuple[str, float | None, Plan]]:
+def _plans(cell: Cell, takes: Mapping[str, int]) -> list[tuple[str, float | None, Plan]]:
     arm, belief, steps = cell.robot.arm_model(), first_belief(cell), dict[str, tuple[Step, ...]]()
     found: list[tuple[str, float | None, Plan]] = []
     for spec in cell.job.phases:
-        plan, belief = _plan(cell, arm, belief, spec, steps)
+        plan, belief = _plan(cell, arm, belief, spec, steps, takes.get(spec.name, 0))
         steps[spec.name] = plan.steps
         limit_m = spec.limit_m if isinstance(spec, HandEyePhase | LocalizePhase) else None
         found.append((spec.name, limit_m, plan))
@@ -130,18 +130,18 @@ def _plans(cell: Cell) -> list[tuple[str, float | None, Plan]]:
 
 
 def _plan(
-    cell: Cell, arm: ArmModel, belief: Belief, spec: Any, steps: dict[str, tuple[Step, ...]]
+    cell: Cell, arm: ArmModel, belief: Belief, spec: Any, steps: dict[str, tuple[Step, ...]], takes: int
 ) -> tuple[Plan, Belief]:
-    """The plan of one phase, and what the next one starts from."""
+    """The plan of one phase with what it is likely to take, and what the next one starts from."""
     match spec:
         case NoisePhase():
             return plan_noise(cell, with_plate(belief, cell), arm, spec), belief
         case HandEyePhase():
-            plan = plan_hand_eye(cell, with_plate(belief, cell), arm, spec.measurements, 0)
+            plan = plan_hand_eye(cell, with_plate(belief, cell), arm, takes, 0)
             return plan, plan.belief or belief
         case LocalizePhase():
             coarse = plan_coarse_localize(cell, with_part(belief, cell), arm, spec, 0)
-            plan = plan_localize(cell, coarse.belief or belief, arm, spec, 0)
+            plan = plan_localize(cell, coarse.belief or belief, arm, spec, 0, takes)
             steps_of, curve_U_m = (*coarse.steps, *plan.steps), (*coarse.curve_U_m, *plan.curve_U_m[1:])
             return Plan(steps_of, plan.gated, plan.belief, curve_U_m), plan.belief or belief
         case CheckPhase() if spec.points_per_sphere:

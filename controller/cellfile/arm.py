@@ -1,7 +1,7 @@
 """The arm: its geometry, and the keys that every robot has."""
 
 from collections.abc import Sequence
-from math import radians
+from math import hypot, radians
 from typing import TYPE_CHECKING, Annotated, Final
 
 from pydantic import Field
@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # numpy only when the arm model is asked for
     from estimation.transform import FloatArray
 
 PARAMETER_NAMES: Final = ("theta", "d", "a", "alpha", "beta")  # the order of estimation.kinematics
+SLENDERNESS: Final = 0.147  # radius over length of a forearm; PRBT 45 mm / 307 mm, others are hardly thicker
 _SI_NAMES: Final = {"theta": "theta_rad", "d": "d_m", "a": "a_m", "alpha": "alpha_rad", "beta": "beta_rad"}
 
 LinkLength = Annotated[Length, Field(ge=-5, le=5)]
@@ -115,8 +116,17 @@ class Arm(Table):
     """Joint readings averaged in one measurement."""
     start_joints_rad: tuple[LinkAngle, ...]
     """Where a job begins and ends."""
+    forearm_radius_m: Length | None = Field(default=None, gt=0, le=0.5)
+    """Of the arm between axis 3 and the wrist; by default 0.147 of that distance."""
     joints: Annotated[tuple[Joint, ...], Field(min_length=6, max_length=6)]
     """Links from the base outwards."""
+
+    @property
+    def forearm_m(self) -> float:
+        """Radius of the cylinder that holds everything between axis 3 and the wrist."""
+        if self.forearm_radius_m is not None:
+            return self.forearm_radius_m
+        return SLENDERNESS * hypot(self.joints[2].a_m, self.joints[3].d_m)
 
     @property
     def contact_delay_s(self) -> float:

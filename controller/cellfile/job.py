@@ -33,7 +33,7 @@ class HandEyePhase(Table):
     name: Name
     """Name of the phase, unique in the job."""
     measurements: Annotated[int, Field(ge=9, le=10_000)]
-    """Measurements planned at first."""
+    """Measurements planned together at first; then one after the other is added, until the limit is met."""
     most_measurements: Annotated[int, Field(ge=9, le=10_000)]
     """Budget: measurements after which the phase gives up."""
     limit_m: Length = Field(gt=0, le=0.1)
@@ -52,7 +52,7 @@ class LocalizePhase(Table):
     name: Name
     """Name of the phase, unique in the job."""
     measurements: Annotated[int, Field(ge=6, le=10_000)]
-    """Measurements planned at first."""
+    """Measurements planned together at first; then one after the other is added, until the limit is met."""
     most_measurements: Annotated[int, Field(ge=6, le=10_000)]
     """Budget: measurements after which the phase gives up."""
     faces: Annotated[tuple[str, ...], Field(min_length=3)]

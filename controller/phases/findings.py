@@ -1,17 +1,20 @@
 """From an estimator's result to proofs, and to the numbers that people read."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import chdtri
 
 from controller.gates import Proof, Verdict, worst
+from controller.planning.plan import SLACK, GatedPrediction
 from estimation.belief import Belief
-from estimation.measurement import Points
+from estimation.measurement import JOINT_NOISE, RANGE_NOISE, SURFACE, Points
 from estimation.solver import Update
 from estimation.statistics import Outcome, coverage_factor
 from estimation.transform import FloatArray, Transform
+
+_INDEPENDENT: Final = tuple(f" {noise}" for noise in (RANGE_NOISE, JOINT_NOISE, SURFACE))
 
 
 def gated_points(points: Points, belief: Belief, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -114,6 +117,26 @@ def uncertainty_verdict(
     done = f"{what} known to U = {uncertainty.value:.3f} mm, limit {uncertainty.limit:.3f} mm"
     curable = rank.outcome is consistency.outcome is Outcome.OK
     return Verdict(proofs, message(proofs, done), remedy, curable)
+
+
+def out_of_reach(verdict: Verdict, best: GatedPrediction, limit_m: float, left: int) -> Verdict:
+    """The verdict, with the reason why the measurements that are left would be in vain."""
+    source, share = by_phase(best.shares)
+    problem = (
+        f"cannot be met: the best {left} further measurements would reach {best.U_m * 1e3:.2f} mm, "
+        f"limit {limit_m * 1e3:.2f} mm; {source} contributes {share:.0%} of the variance"
+    )
+    remedy = f"Reduce {source}, or raise the limit to {best.U_m * SLACK * 1e3:.2f} mm"
+    return Verdict(verdict.proofs, problem, remedy, curable=False)
+
+
+def by_phase(shares: Mapping[str, float]) -> tuple[str, float]:
+    """The largest contribution to a variance, the noises of one phase taken together ("hand-eye")."""
+    together: dict[str, float] = {}
+    for source, share in shares.items():
+        phase = next((source.removesuffix(noise) for noise in _INDEPENDENT if source.endswith(noise)), source)
+        together[phase] = together.get(phase, 0.0) + share
+    return max(together.items(), key=lambda item: item[1])
 
 
 def fit_summary(update: Update) -> dict[str, Any]:

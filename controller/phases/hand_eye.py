@@ -8,8 +8,9 @@ import numpy as np
 from controller.cellfile import job
 from controller.knowledge import observations, with_plate
 from controller.phases import findings
-from controller.phases.base import Finding, OnePlan, PhaseContext, good
-from controller.planning import more_hand_eye, plan_hand_eye
+from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.one_by_one import OneByOne
+from controller.planning import Prospect, plan_hand_eye
 from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
@@ -17,11 +18,10 @@ from estimation.measurement import Chain, point_jacobian
 from estimation.solver import update
 
 OUTLIER_LEVEL = 0.001  # probability that an honest batch loses a row
-MORE_AT_ONCE = 20
 
 
-class HandEyePhase(OnePlan):
-    """Laser on the plate from planned poses."""
+class HandEyePhase(OneByOne):
+    """Laser on the plate from planned poses, then from the next best ones."""
 
     def plan(self, context: PhaseContext[job.HandEyePhase]) -> Sequence[Step]:
         prior = with_plate(context.belief, context.cell)
@@ -42,6 +42,7 @@ class HandEyePhase(OnePlan):
         gated = self.gated(context, fit.belief)
         level = context.cell.job.test_level
         verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Hand-eye", level)
+        verdict = self.judged(context, steps, fit.belief, verdict)
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("laser")),
             "values": findings.block_values(
@@ -53,19 +54,14 @@ class HandEyePhase(OnePlan):
         }
         return Finding(verdict, fit.belief, estimate)
 
-    def extend(
-        self,
-        context: PhaseContext[job.HandEyePhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        left = context.spec.most_measurements - len(steps)
-        if left <= 0:
-            return ()
-        return more_hand_eye(
-            context.cell, finding.belief, context.arm, steps, min(left, MORE_AT_ONCE), context.seed
-        ).steps
+    def known(self, context: PhaseContext[job.HandEyePhase], samples: Sequence[Sample]) -> Belief:
+        prior = with_plate(context.belief, context.cell)
+        if not samples:
+            return prior
+        return update(prior, Chain(context.arm, observations(context.cell, samples)), phase="hand-eye").belief
+
+    def prospect(self, context: PhaseContext[job.HandEyePhase], belief: Belief, seed: int) -> Prospect:
+        return Prospect.of_hand_eye(context.cell, belief, context.arm, context.spec, seed)
 
     @staticmethod
     def gated(context: PhaseContext[job.HandEyePhase], belief: Belief) -> list[dict[str, Any]]:

@@ -7,8 +7,9 @@ from controller.cellfile import job
 from controller.faults import OutsideCause
 from controller.knowledge import observations, part_corners_m, with_part
 from controller.phases import findings
-from controller.phases.base import Finding, OnePlan, PhaseContext, good
-from controller.planning import more_localize, plan_coarse_localize, plan_localize
+from controller.phases.base import Finding, PhaseContext, good
+from controller.phases.one_by_one import OneByOne
+from controller.planning import Prospect, plan_coarse_localize, plan_localize
 from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
@@ -16,13 +17,12 @@ from estimation.measurement import Chain, object_point_jacobian
 from estimation.solver import update
 
 OUTLIER_LEVEL = 0.001
-MORE_AT_ONCE = 10
 FEWEST_COARSE = 6  # points without which the six freedoms of the part stay open
 COARSE_NOTE = "coarse"
 
 
-class LocalizePhase(OnePlan):
-    """A few robust points to find the part, then the planned ones; all are fitted."""
+class LocalizePhase(OneByOne):
+    """A few robust points to find the part, the planned ones, then the next best; all are fitted."""
 
     def plan(self, context: PhaseContext[job.LocalizePhase]) -> Sequence[Step]:
         prior = with_part(context.belief, context.cell)
@@ -32,7 +32,7 @@ class LocalizePhase(OnePlan):
         self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
     ) -> Sequence[Step]:
         if any(step.note != COARSE_NOTE for step in steps):
-            return ()
+            return super().more(context, steps, samples)
         return plan_localize(
             context.cell,
             self.found(context, steps, samples),
@@ -78,6 +78,7 @@ class LocalizePhase(OnePlan):
         gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
         level = context.cell.job.test_level
         verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Part", level)
+        verdict = self.judged(context, steps, fit.belief, verdict)
         faces = [f"part.{name}" for name in context.spec.faces]
         estimate: dict[str, Any] = {
             "pose": findings.pose_dict(fit.belief.transform("part")),
@@ -88,22 +89,15 @@ class LocalizePhase(OnePlan):
         }
         return Finding(verdict, fit.belief, estimate)
 
-    def extend(
-        self,
-        context: PhaseContext[job.LocalizePhase],
-        steps: Sequence[Step],
-        samples: Sequence[Sample],
-        finding: Finding,
-    ) -> Sequence[Step]:
-        left = context.spec.most_measurements - sum(step.note != COARSE_NOTE for step in steps)
-        if left <= 0:
-            return ()
-        return more_localize(
-            context.cell,
-            finding.belief,
-            context.arm,
-            context.spec,
-            steps,
-            min(left, MORE_AT_ONCE),
-            context.seed,
-        ).steps
+    def known(self, context: PhaseContext[job.LocalizePhase], samples: Sequence[Sample]) -> Belief:
+        prior = with_part(context.belief, context.cell)
+        if not samples:
+            return prior
+        return update(prior, Chain(context.arm, observations(context.cell, samples)), phase="localize").belief
+
+    def prospect(self, context: PhaseContext[job.LocalizePhase], belief: Belief, seed: int) -> Prospect:
+        return Prospect.of_part(context.cell, belief, context.arm, context.spec, seed)
+
+    def counted(self, steps: Sequence[Step]) -> int:
+        """The coarse points come on top of the budget."""
+        return sum(step.note != COARSE_NOTE for step in steps)

@@ -2,23 +2,21 @@
 
 from controller.planning.checks import plan_bar_check, plan_noise
 from controller.planning.estimated import (
-    more_hand_eye,
-    more_localize,
     plan_coarse_localize,
     plan_hand_eye,
     plan_localize,
     plan_part_check,
 )
 from controller.planning.inspection import more_inspect, plan_inspect
+from controller.planning.online import Prospect
 from controller.planning.plan import Plan
 from controller.planning.steps import Step
 
 __all__ = [
     "Plan",
+    "Prospect",
     "Step",
-    "more_hand_eye",
     "more_inspect",
-    "more_localize",
     "plan_bar_check",
     "plan_coarse_localize",
     "plan_hand_eye",

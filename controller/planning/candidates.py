@@ -24,7 +24,7 @@ MOST_TILT_RAD: Final = np.radians(28.0)  # more gains little, and the beam's spo
 INCIDENCE_MARGIN_RAD: Final = np.radians(3.0)  # the mount may be turned by as much
 EDGE_MARGIN_M: Final = 0.004
 DRAWS: Final = 2000  # before reach, clearance and range are looked at
-PART_DRAWS: Final = 1500
+PART_DRAWS: Final = 3000
 
 
 def plate_candidates(workspace: Workspace, seed: int, draws: int = DRAWS) -> Candidates:

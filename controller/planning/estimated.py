@@ -31,7 +31,6 @@ from estimation.transform import FloatArray, exp_pose
 
 COARSE_COUNT: Final = 10
 COARSE_NOTE: Final = "coarse"
-ADDED_NOTE: Final = "added"
 CHECK_SEED: Final = 7919  # draws of its own
 _COARSE_MIDDLE: Final = 0.3  # of the working range: the part may be nearer or farther by much
 _ROUNDS: Final = 8  # in which choices that turn out to be blocked are replaced
@@ -45,14 +44,16 @@ def plan_hand_eye(cell: Cell, belief: Belief, arm: ArmModel, count: int, seed: i
 
     The belief holds the plate's block. The better the belief, the more of the working range is used.
     """
-    return _hand_eye(cell, belief, arm, count, "", 0, seed)
-
-
-def more_hand_eye(
-    cell: Cell, belief: Belief, arm: ArmModel, steps: Sequence[Step], count: int, seed: int
-) -> Plan:
-    """`count` further poses after those of `steps`, which the belief has used already."""
-    return _hand_eye(cell, belief, arm, count, ADDED_NOTE, len(steps), seed)
+    spec = next((phase for phase in cell.job.phases if isinstance(phase, job.HandEyePhase)), None)
+    name = "hand-eye" if spec is None else spec.name
+    ranges_m = cell.laser.working_range_m if spec is None else spec.gated_ranges_m
+    workspace = Workspace(cell, arm, belief)
+    pool = plate_candidates(workspace, seed)
+    points, names = hand_eye_points(belief, ranges_m)
+    chosen, curve_U_m = choose(workspace, pool, points.jacobian, count)
+    predicted = predicted_belief(belief, Chain(arm, [observations_of(workspace, chosen)]), name)
+    steps = named(laser_steps(workspace, chosen), name)
+    return Plan(steps, gated_predictions(predicted, points, names), predicted, curve_U_m)
 
 
 def hand_eye_points(belief: Belief, ranges_m: Sequence[float]) -> tuple[Points, tuple[str, ...]]:
@@ -76,31 +77,27 @@ def plan_coarse_localize(
         count,
         f"{spec.name} {COARSE_NOTE}",
         COARSE_NOTE,
-        0,
         lambda chosen: occluded(workspace, chosen, displacements),
         face_limit,
     )
 
 
-def plan_localize(cell: Cell, belief: Belief, arm: ArmModel, spec: job.LocalizePhase, seed: int) -> Plan:
-    """The points on the faces that leave the corners of the part most certain.
+def plan_localize(
+    cell: Cell, belief: Belief, arm: ArmModel, spec: job.LocalizePhase, seed: int, count: int = 0
+) -> Plan:
+    """The `count` points (0: as the cell file says) that leave the corners of the part most certain.
 
     The belief has used the coarse points already, so that beams may go near the edges.
     """
-    return _localize(cell, belief, arm, spec, spec.measurements, "", 0, seed)
+    workspace = Workspace(cell, arm, belief)
+    pool = part_candidates(workspace, spec.faces, seed, margin_m=margin_m(workspace))
+    return _part_plan(workspace, pool, count or spec.measurements, spec.name, "", blocked_beams(workspace))
 
 
-def more_localize(
-    cell: Cell,
-    belief: Belief,
-    arm: ArmModel,
-    spec: job.LocalizePhase,
-    steps: Sequence[Step],
-    count: int,
-    seed: int,
-) -> Plan:
-    """`count` further points after those of `steps`, which the belief has used already."""
-    return _localize(cell, belief, arm, spec, count, ADDED_NOTE, len(steps), seed)
+def blocked_beams(workspace: Workspace) -> Blocked:
+    """Which beams meet something else than their face first, if the part is off by what is uncertain."""
+    beside_m = margin_m(workspace)
+    return lambda chosen: occluded(workspace, chosen, (), beside_m)
 
 
 def plan_part_check(
@@ -129,51 +126,12 @@ def corner_points(cell: Cell, belief: Belief) -> tuple[Points, tuple[str, ...]]:
     return object_point_jacobian(belief, "part", part_corners_m(cell)), _CORNERS
 
 
-def _hand_eye(
-    cell: Cell, belief: Belief, arm: ArmModel, count: int, note: str, first: int, seed: int
-) -> Plan:
-    spec = next((phase for phase in cell.job.phases if isinstance(phase, job.HandEyePhase)), None)
-    name = "hand-eye" if spec is None else spec.name
-    ranges_m = cell.laser.working_range_m if spec is None else spec.gated_ranges_m
-    workspace = Workspace(cell, arm, belief)
-    pool = plate_candidates(workspace, seed + first)
-    points, names = hand_eye_points(belief, ranges_m)
-    chosen, curve_U_m = choose(workspace, pool, points.jacobian, count)
-    predicted = predicted_belief(belief, Chain(arm, [observations_of(workspace, chosen)]), name)
-    steps = named(laser_steps(workspace, chosen, note), name, first)
-    return Plan(steps, gated_predictions(predicted, points, names), predicted, curve_U_m)
-
-
-def _localize(
-    cell: Cell,
-    belief: Belief,
-    arm: ArmModel,
-    spec: job.LocalizePhase,
-    count: int,
-    note: str,
-    first: int,
-    seed: int,
-) -> Plan:
-    workspace = Workspace(cell, arm, belief)
-    pool = part_candidates(workspace, spec.faces, seed + first, margin_m=margin_m(workspace))
-    return _part_plan(
-        workspace,
-        pool,
-        count,
-        spec.name,
-        note,
-        first,
-        lambda chosen: occluded(workspace, chosen, (), margin_m(workspace)),
-    )
-
-
 def _part_plan(
     workspace: Workspace,
     pool: Candidates,
     count: int,
     name: str,
     note: str,
-    first: int,
     blocked: Blocked,
     face_limit: int = 0,
 ) -> Plan:
@@ -181,7 +139,7 @@ def _part_plan(
     chosen, curve_U_m = choose(workspace, pool, points.jacobian, count, blocked, face_limit)
     taken = [observations_of(workspace, chosen)]
     predicted = predicted_belief(workspace.belief, Chain(workspace.arm, taken), name)
-    steps = named(laser_steps(workspace, chosen, note), name, first)
+    steps = named(laser_steps(workspace, chosen, note), name)
     return Plan(steps, gated_predictions(predicted, points, names), predicted, curve_U_m)
 
 

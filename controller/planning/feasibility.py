@@ -10,7 +10,7 @@ from controller.gates import Proof, Verdict
 from controller.knowledge import first_belief, with_part, with_plate
 from controller.planning.candidates import part_candidates, plate_candidates
 from controller.planning.estimated import COARSE_COUNT, choose, corner_points, hand_eye_points, margin_m
-from controller.planning.plan import GatedPrediction, gated_predictions
+from controller.planning.plan import MARGIN, SLACK, GatedPrediction, gated_predictions
 from controller.planning.workspace import Candidates, Workspace, observations_of
 from estimation.belief import Belief
 from estimation.errors import Unreachable
@@ -20,8 +20,7 @@ from estimation.solver import predicted_belief
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
-SLACK: Final = 1.05  # a prediction is not exact; what is so near is left to the gate itself
-DRAWS: Final = 1200
+DRAWS: Final = 3000
 _KEPT: Final = 16  # answers, by cell file
 
 # What would make each source smaller.
@@ -45,11 +44,12 @@ class Reachable:
     best: GatedPrediction
     limit_m: float
     measurements: int
+    takes: int  # of these, before the limit is met: at least those that are planned at first
 
     @property
     def met(self) -> bool:
         """Whether the limit can be met, as far as a prediction can tell."""
-        return self.best.U_m <= self.limit_m * SLACK
+        return self.best.may_meet(self.limit_m)
 
     @property
     def problem(self) -> str:
@@ -141,12 +141,16 @@ def _walk(cell: Cell) -> list[Reachable]:
         else:
             continue
         most = min(spec.most_measurements, len(pool))
-        best = _best(workspace, pool, points, most, spec.name)
-        found.append(Reachable(spec.name, index, _worst(best, points, names), spec.limit_m, most))
-        # The next phase builds on what this one takes: no more than planned, if that meets the limit.
-        planned = _best(workspace, pool, points, min(spec.measurements, most), spec.name)
-        met = _worst(planned, points, names).U_m <= spec.limit_m
-        belief = (planned if met else best).without(["plate", "part"])
+        best, curve_U_m = _best(workspace, pool, points, most, spec.name)
+        takes = min(spec.measurements, most)
+        planned, _ = _best(workspace, pool, points, takes, spec.name)
+        if _worst(planned, points, names).U_m > spec.limit_m:  # one after the other, until it is enough
+            enough_m = (1.0 - MARGIN) * spec.limit_m
+            takes = next((count for count, U_m in enumerate(curve_U_m) if U_m <= enough_m), most)
+            planned, _ = _best(workspace, pool, points, takes, spec.name)
+        best_U = _worst(best, points, names)
+        found.append(Reachable(spec.name, index, best_U, spec.limit_m, most, takes))
+        belief = planned.without(["plate", "part"])
     return found
 
 
@@ -154,17 +158,19 @@ def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase)
     """What the coarse points leave."""
     workspace = Workspace(cell, arm, prior)
     pool = part_candidates(workspace, spec.faces, 0, DRAWS // 2, margin_m(workspace))
-    return _best(workspace, pool, corner_points(cell, prior)[0], COARSE_COUNT, "search")
+    return _best(workspace, pool, corner_points(cell, prior)[0], COARSE_COUNT, "search")[0]
 
 
-def _best(workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str) -> Belief:
+def _best(
+    workspace: Workspace, pool: Candidates, points: Points, count: int, phase: str
+) -> tuple[Belief, tuple[float, ...]]:
+    """What the best `count` measurements leave, and `Plan.curve_U_m`."""
     if not len(pool):
         raise OutOfReach(pool.object)
     gates: FloatArray = points.jacobian
-    chosen, _ = choose(workspace, pool, gates, min(count, len(pool)))
-    return predicted_belief(
-        workspace.belief, Chain(workspace.arm, [observations_of(workspace, chosen)]), phase
-    )
+    chosen, curve_U_m = choose(workspace, pool, gates, min(count, len(pool)))
+    taken = Chain(workspace.arm, [observations_of(workspace, chosen)])
+    return predicted_belief(workspace.belief, taken, phase), curve_U_m
 
 
 def _worst(belief: Belief, points: Points, names: tuple[str, ...]) -> GatedPrediction:

@@ -18,8 +18,6 @@ BENCH_M: Final = 0.02  # least height of any point of the tool above the bench, 
 COLUMN_RADIUS_M: Final = 0.11  # the arm's own base, as high as
 COLUMN_HEIGHT_M: Final = 0.40
 ELBOW_HEIGHT_M: Final = 0.20
-FOREARM_RADIUS_M: Final = 0.045  # from the elbow to the wrist, about the arm's own line
-_FOLDED_RAD: Final = np.radians(60.0)  # of axis 5: with less, nothing on the flange comes near the forearm
 CLEARANCE_M: Final = 0.008
 SAMPLES: Final = 12  # along one joint path
 
@@ -84,6 +82,7 @@ class Keepout:
     arm: ArmModel
     outline: ToolOutline
     boxes: tuple[Box, ...]
+    forearm_m: float  # radius, from the elbow to the wrist
 
     def clear(self, joints_rad: FloatArray, touching: str = "") -> BoolArray:
         """Whether postures (..., 6) are clear; the stylus may be near the box of the name `touching`."""
@@ -100,7 +99,8 @@ class Keepout:
         across = points[:, 0] ** 2 + points[:, 1] ** 2 < (COLUMN_RADIUS_M + radius) ** 2
         beside: BoolArray = np.logical_and(across, height < COLUMN_HEIGHT_M)
         free &= ~beside.any(axis=1)
-        folded = np.flatnonzero(free & (np.abs(joints[:, 4]) > _FOLDED_RAD))
+        bent = np.abs(self.arm.theta[4] + joints[:, 4])
+        folded = np.flatnonzero(free & (bent > self.folded_rad))
         free[folded] = self._beside_forearm(joints[folded], flange[folded], points[folded])
         for box in self.boxes:
             which = ~self.outline.stylus if box.name == touching else slice(None)
@@ -119,7 +119,7 @@ class Keepout:
     def _beside_forearm(self, joints: FloatArray, flange: FloatArray, points: FloatArray) -> BoolArray:
         """Whether the sensors' points (m, 3, k) are clear of the arm's own forearm."""
         angle, turn = self.arm.theta[1] + joints[:, 1], self.arm.theta[0] + joints[:, 0]
-        out = self.arm.a[1] * np.cos(angle)
+        out = self.arm.a[0] + self.arm.a[1] * np.cos(angle)
         rise = self.arm.d[0] + self.arm.a[1] * np.sin(angle)
         elbow = np.stack([out * np.cos(turn), out * np.sin(turn), rise], axis=1)
         wrist = flange[:, :3, 3] - self.arm.d[-1] * flange[:, :3, 2]
@@ -128,10 +128,24 @@ class Keepout:
         offset = points[:, :, tool] - wrist[:, :, None]
         share = np.clip(np.einsum("mi,mik->mk", along, offset) / (along**2).sum(axis=1)[:, None], 0.0, 1.0)
         apart = np.linalg.norm(offset - along[:, :, None] * share[:, None], axis=1)
-        clear: BoolArray = np.all(
-            apart > FOREARM_RADIUS_M + CLEARANCE_M + self.outline.radius_m[tool], axis=1
-        )
+        clear: BoolArray = np.all(apart > self.forearm_m + CLEARANCE_M + self.outline.radius_m[tool], axis=1)
         return clear
+
+    @cached_property
+    def folded_rad(self) -> float:
+        """How far axis 5 may bend, from straight, before a sensor can come near the forearm at some spin.
+
+        A point at a distance from the wrist and an angle from the flange's axis comes to within
+        distance sin(bend + angle) of the line of the forearm, once that passes 90 deg.
+        """
+        tool = self.outline.sensors
+        points = self.outline.points_m[tool] + [0.0, 0.0, self.arm.d[-1]]
+        distance = np.linalg.norm(points, axis=1)
+        room = self.forearm_m + CLEARANCE_M + self.outline.radius_m[tool]
+        angle = np.arccos(points[:, 2] / distance)
+        near = np.pi - np.arcsin(np.minimum(room / distance, 1.0)) - angle
+        skew = np.arctan2(abs(self.arm.a[2]), abs(self.arm.d[3]))  # of that line against axis 4
+        return float(max(near.min() - skew, 0.0))
 
     @cached_property
     def _reach_m(self) -> float:

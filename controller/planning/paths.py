@@ -17,18 +17,23 @@ _DETOURS: Final = ((0.0, 0.0), (0.06, 0.0), (0.0, 0.08), (0.12, 0.0), (0.06, 0.0
 Route = tuple[FloatArray, ...]  # postures (6,) in order
 
 
-def carrying(joints_rad: FloatArray) -> FloatArray:
-    """The carrying postures (m, 6) above postures (m, 6): same direction, same turn of the wrist."""
+def carrying(keepout: Keepout, joints_rad: FloatArray) -> FloatArray:
+    """The carrying postures (m, 6) above postures (m, 6): same direction, same turn of the wrist.
+
+    Axis 5 is not bent so far that a sensor could meet the forearm: from one to another any turn is clear.
+    """
     carry = joints_rad.copy()
     carry[:, 1] = CARRY_Q2_RAD
     carry[:, 2] = np.where(joints_rad[:, 2] < 0.0, -CARRY_Q3_RAD, CARRY_Q3_RAD)
+    straight = keepout.arm.theta[4]
+    carry[:, 4] = np.clip(straight + carry[:, 4], -keepout.folded_rad, keepout.folded_rad) - straight
     return carry
 
 
 def accesses(keepout: Keepout, joints_rad: FloatArray, touching: str = "") -> list[Route | None]:
     """The way to each posture (m, 6) from its carrying posture, which comes first; None if there is none."""
     routes: list[Route | None] = [None] * len(joints_rad)
-    carry = carrying(joints_rad)
+    carry = carrying(keepout, joints_rad)
     possible = keepout.clear(joints_rad, touching) & keepout.clear(carry)
     flange = keepout.arm.flange_pose(joints_rad)
     for up_m, back_m in _DETOURS:

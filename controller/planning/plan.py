@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from controller.planning.workspace import Candidates, Workspace
 from estimation.belief import Belief
 from estimation.measurement import Points
 from estimation.statistics import coverage_factor
+
+SLACK: Final = 1.05  # a prediction is not exact; what is so near to a limit is left to the gate itself
+MARGIN: Final = 0.05  # of the limit, by which U must stay below it before measuring ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,10 @@ class GatedPrediction:
     def dominating(self) -> tuple[str, float]:
         """The largest source and its share."""
         return next(iter(self.shares.items()))
+
+    def may_meet(self, limit_m: float) -> bool:
+        """Whether the limit can be met, as far as a prediction can tell."""
+        return self.U_m <= limit_m * SLACK
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,8 @@ class Step:
 
     Every step is reached from the posture in which the step before it ends: its `joints_rad`, or the
     last of its `retreat`. The first step of a plan starts from any carrying posture (tool above
-    everything), and the last one retreats to such a posture, so plans follow each other freely.
+    everything), and the last one retreats to such a posture, so plans follow each other freely. Steps that
+    are added one by one do not retreat; what follows them takes the way back over their `access`.
     `access` leads from a carrying posture to the step, whatever was done before; see `route`.
     """
 

@@ -50,14 +50,15 @@ class Workspace:
     @cached_property
     def start_rad(self) -> FloatArray:
         """A carrying posture: where plans begin and end."""
-        start: FloatArray = carrying(np.array([self.cell.robot.start_joints_rad]))[0]
+        start: FloatArray = carrying(self.keepout, np.array([self.cell.robot.start_joints_rad]))[0]
         return start
 
     @cached_property
     def keepout(self) -> Keepout:
         """All boxes, grown by what the places of the objects are uncertain by."""
         outline = ToolOutline.of(self.pose("laser"), self.pose("probe"), float(self.arm.d[-1]))
-        return Keepout(self.arm, outline, (*self._standing_boxes(), self._part_box()))
+        boxes = (*self._standing_boxes(), self._part_box())
+        return Keepout(self.arm, outline, boxes, self.cell.robot.forearm_m)
 
     def part_offset_m(self) -> float:
         """How far any point of the part may lie from where it is believed to be."""

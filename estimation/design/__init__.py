@@ -1,7 +1,7 @@
 """Which of many measurements to take: criteria, choice, the fewest for a limit, lower bounds, baselines."""
 
 from estimation.design.bound import Bound, lower_bound
-from estimation.design.choice import Selection, choose, fewest
+from estimation.design.choice import Selection, choose, fewest, worth
 from estimation.design.criteria import CRITERIA, Criterion
 from estimation.design.problem import DesignProblem
 
@@ -14,4 +14,5 @@ __all__ = [
     "choose",
     "fewest",
     "lower_bound",
+    "worth",
 ]

@@ -115,6 +115,11 @@ def fewest(
     return state.selection(curve)
 
 
+def worth(problem: DesignProblem, criterion: Criterion = WORST) -> FloatArray:
+    """How much each candidate (m,) alone lowers the criterion, to first order; the largest is the next."""
+    return _State(problem, criterion, _Groups(None, 0)).worth()
+
+
 class _Groups:
     """How many of each group are chosen."""
 
@@ -174,7 +179,7 @@ class _State:
         """The open candidate that lowers the criterion most."""
         if self._own_decides:
             return self._gains.largest(self._groups.allowed(self._open))
-        return int(np.argmax(np.where(self._groups.allowed(self._open), self._gain(1.0), -1.0)))
+        return int(np.argmax(np.where(self._groups.allowed(self._open), self.worth(), -1.0)))
 
     def exchange(self, target: float = 0.0) -> bool:
         """Replace each choice by the best candidate, where that is better; whether any was replaced."""
@@ -210,7 +215,7 @@ class _State:
 
     def drop_least(self) -> None:
         """Take back the choice that is missed least."""
-        loss = self._gain(-1.0)[self.chosen]
+        loss = self.worth(-1.0)[self.chosen]
         self.remove(int(np.argmin(loss)))
 
     def selection(self, curve: list[float]) -> Selection:
@@ -220,7 +225,7 @@ class _State:
         value = self._criterion.value(self._problem.judged(white))
         return Selection(chosen, self._problem.after(white), value, np.array(curve))
 
-    def _gain(self, sign: float) -> FloatArray:
+    def worth(self, sign: float = 1.0) -> FloatArray:
         """How much each candidate (m,) lowers the criterion when added, or raises it when taken away (-1)."""
         targets = self._problem.white_targets @ self._white
         weight = self._criterion.weight(self._problem.judged(self._white), SHARPNESS)

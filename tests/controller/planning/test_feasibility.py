@@ -34,9 +34,9 @@ def test_a_limit_out_of_reach_is_refused_with_the_best_and_its_source(tight: Pat
     with pytest.raises(GateHeld) as held:
         refuse_impossible_limits(load_cell(tight))
     assert held.value.phase == "localize"
-    assert "best reachable 0.21 mm, limit 0.08 mm" in held.value.problem
-    assert "dominated by localize range noise" in held.value.problem
-    assert "use a laser with less noise" in held.value.remedy
+    assert "best reachable 0.19 mm, limit 0.08 mm" in held.value.problem
+    assert "dominated by kinematics" in held.value.problem
+    assert "calibrate the arm's kinematics" in held.value.remedy
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_limit_out_of_reach_is_refused_with_the_best_and_its_source(tight: Pat
 )
 def test_the_remedy_is_for_the_source_that_dominates(source: str, cure: str) -> None:
     best = GatedPrediction("corner", 2e-4, {source: 0.5, "part form": 0.3, "part place": 0.2})
-    reachable = Reachable("localize", 3, best, 1e-4, 60)
+    reachable = Reachable("localize", 3, best, 1e-4, 60, 30)
     assert reachable.problem.endswith(f"dominated by {source}, 50% of the variance")
     assert reachable.remedy == f"raise the limit to 0.21 mm, or {cure}"
 
