@@ -95,6 +95,7 @@ ANGULAR_ACCELERATION = Dimension(
     },
 )
 RATIO = Dimension("a ratio", "", {"%": Decimal("1e-2"), "ppm": Decimal("1e-6")})
+MASS = Dimension("a mass", "kg", {"kg": Decimal(1), "g": Decimal("1e-3")})
 FREQUENCY = Dimension("a frequency", "Hz", {"Hz": Decimal(1), "kHz": Decimal(1000), "MHz": Decimal("1e6")})
 
 DIMENSIONS: Final = (
@@ -105,6 +106,7 @@ DIMENSIONS: Final = (
     ANGULAR_SPEED,
     ANGULAR_ACCELERATION,
     RATIO,
+    MASS,
     FREQUENCY,
 )
 
@@ -234,6 +236,11 @@ def format_ratio(ratio: float, decimals: int | None = None) -> str:
     return format_as(ratio, RATIO, "%", decimals)
 
 
+def format_mass(mass_kg: float, decimals: int | None = None) -> str:
+    """Kilograms as "6 kg"."""
+    return format_as(mass_kg, MASS, "kg", decimals)
+
+
 def format_frequency(frequency_hz: float, decimals: int | None = None) -> str:
     """Hertz as "50 Hz", from 1000 on as "2 kHz"."""
     return format_as(frequency_hz, FREQUENCY, "kHz" if abs(frequency_hz) >= 1000 else "Hz", decimals)
@@ -247,6 +254,7 @@ FORMATTERS: Final[dict[str, Callable[[float], str]]] = {
     ANGULAR_SPEED.name: format_angular_speed,
     ANGULAR_ACCELERATION.name: format_angular_acceleration,
     RATIO.name: format_ratio,
+    MASS.name: format_mass,
     FREQUENCY.name: format_frequency,
 }
 
@@ -284,4 +292,5 @@ Speed = Annotated[float, _QuantityOf(SPEED)]
 AngularSpeed = Annotated[float, _QuantityOf(ANGULAR_SPEED)]
 AngularAcceleration = Annotated[float, _QuantityOf(ANGULAR_ACCELERATION)]
 Ratio = Annotated[float, _QuantityOf(RATIO)]
+Mass = Annotated[float, _QuantityOf(MASS)]
 Frequency = Annotated[float, _QuantityOf(FREQUENCY)]

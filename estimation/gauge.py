@@ -5,13 +5,25 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.belief import Belief
 from estimation.observability import RANK_TOLERANCE, freedom_words, null_space
 from estimation.transform import FloatArray, Transform
 
 _TAKES_PART: Final = 0.02  # of a unit direction: smaller components are other directions leaking in
-_NAMED_SHARE: Final = 0.02  # of the held parameter's own effect
+_NAMED_SHARE: Final = 5e-3  # of the held parameter's own effect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """What directions of the state do where nothing was measured.
+
+    `matrix` (e, n) by the state, with a gauge having no effect; `size` (n,) of each freedom's own effect.
+    """
+
+    matrix: FloatArray
+    size: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,16 +48,18 @@ def gauges(
     jacobian: FloatArray,
     variance: FloatArray,
     order: Sequence[str],
+    effect: Effect,
     tolerance: float = RANK_TOLERANCE,
 ) -> tuple[Gauge, ...]:
-    """Freedoms that the flat part of a belief has in common with no measurement.
+    """Freedoms of the flat part of a belief that no measurement sees, whatever else is measured.
 
     Parameters
     ----------
-    jacobian, variance : (m, n) by the state and (m,), m^2, of measurements as various as there can be: what
-        they do not see, none of their kind sees.
+    jacobian, variance : (m, n) by the state and (m,), m^2, of the measurements.
     order : labels of what may be held. For each freedom the first that takes part in it is.
-    tolerance : smallest over largest singular value that counts as seen.
+    effect : what would matter elsewhere. A direction that the measurements do not see and that has such an
+        effect is no gauge: better measurements would see it.
+    tolerance : smallest over largest singular value that counts as seen, or as an effect.
 
     Returns
     -------
@@ -55,6 +69,7 @@ def gauges(
     if not len(columns):
         return ()
     _, _, whole, scale = null_space(belief, jacobian, variance, columns, tolerance)
+    whole = _harmless(whole, scale, columns, effect, tolerance)
     labels = [belief.labels[column] for column in columns]
     places = {label: place for place, label in enumerate(labels)}
     held: list[int] = []
@@ -72,6 +87,19 @@ def gauges(
     single = np.linalg.solve(closed[:, held], closed)
     rows = zip(held, single, strict=True)
     return tuple(_gauge(belief, labels, held, place, row, scale) for place, row in rows)
+
+
+def _harmless(
+    basis: FloatArray, scale: FloatArray, columns: NDArray[np.intp], effect: Effect, tolerance: float
+) -> FloatArray:
+    """Orthonormal basis of the directions of `basis` (k, q) that have no effect."""
+    if not len(basis):
+        return basis
+    directions = (basis / scale).T
+    largest = float(np.max(effect.size[columns] / scale))
+    _, strength, turned = np.linalg.svd(effect.matrix[:, columns] @ directions)
+    strength = np.append(strength, np.zeros(len(basis) - len(strength)))
+    return np.asarray(turned[strength <= tolerance * largest] @ basis)
 
 
 def _without(basis: FloatArray, place: int) -> FloatArray:

@@ -11,7 +11,7 @@ from controller.quantities import Angle, Length
 if TYPE_CHECKING:  # numpy only when a transform is asked for
     from estimation.transform import Transform
 
-_UNIT_SUFFIX: Final = re.compile(r"_(m|rad|s|m_s|rad_s|rad_s2|hz)$")
+_UNIT_SUFFIX: Final = re.compile(r"_(m|rad|s|m_s|rad_s|rad_s2|kg|hz)$")
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$", max_length=40)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200)]

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from controller.cellfile.lines import KeyPath, LineIndex
 from controller.cellfile.mistakes import Mistake, Source, format_mistakes, nearest
 from controller.cellfile.translate import mistakes_of
+from controller.offline.dataset_kinematics import KINEMATIC_DATASETS
 from controller.offline.dataset_localization import LocalizationDataset
 from controller.offline.dataset_pairs import PAIR_DATASETS
 from controller.offline.dataset_parts import Dataset
@@ -21,6 +22,7 @@ from estimation.localization.task import Localization
 DATASETS: Final[dict[str, type[Dataset]]] = {
     **SENSOR_DATASETS,
     **PAIR_DATASETS,
+    **KINEMATIC_DATASETS,
     Localization.task: LocalizationDataset,
 }
 _MOST_SHOWN: Final = 10

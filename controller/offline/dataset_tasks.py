@@ -21,10 +21,11 @@ from controller.offline.dataset_parts import (
     beyond,
     unequal,
 )
-from controller.quantities import Length
+from controller.quantities import Angle, Length
 from estimation.surfaces import plane
-from estimation.tasks.registry import SENSOR_TASKS
+from estimation.tasks.registry import KINEMATIC_TASKS, SENSOR_TASKS
 from estimation.tasks.sensing import SensorTask
+from estimation.tasks.solve import Problem
 
 Radius = Annotated[Length, Field(gt=0, le=5)]
 
@@ -38,9 +39,13 @@ class SensorDataset(MotionDataset):
     @property
     def kind(self) -> type[SensorTask]:
         """The type of the problem."""
-        return SENSOR_TASKS[self.task]
+        return (SENSOR_TASKS if self.task in SENSOR_TASKS else KINEMATIC_TASKS)[self.task]
 
-    def problem(self) -> SensorTask:
+    def problem(self) -> Problem:
+        return self.measured()
+
+    def measured(self) -> SensorTask:
+        """The problem of the sensor alone."""
         return self.kind(**self.arguments())
 
     def arguments(self) -> dict[str, Any]:
@@ -196,15 +201,13 @@ def not_unit(path: tuple[str | int, ...], direction: Point) -> Iterator[Wrong]:
         yield path, f"a direction of length {length:.4g}", "write one of length 1"
 
 
-class _Camera(SensorDataset):
+class _Markers(SensorDataset):
     points: Annotated[tuple[Point, ...], Field(min_length=1)]
-    """Markers as the camera sees them, x, y, z in its frame."""
+    """Markers as the sensor sees them, x, y, z in its frame."""
     pose: tuple[Index, ...]
     """The pose of each point, counted from 0."""
     marker: tuple[Index, ...]
     """The marker of each point, counted from 0."""
-    noise_m: tuple[Noise, Noise, Noise]
-    """Standard deviation of a point along x, y and z of the camera."""
     markers: Annotated[tuple[Point, ...], Field(min_length=1)] | None = None
     """Markers in the frame of the object; estimated where they are left out."""
     marker_u_m: Std = 0.0
@@ -214,7 +217,6 @@ class _Camera(SensorDataset):
         return {
             **super().arguments(),
             "points_m": self.units.lengths(self.points),
-            "covariance": np.diag(np.square(self.noise_m)),
             "pose_index": np.array(self.pose, dtype=np.intp),
             "marker_index": np.array(self.marker, dtype=np.intp),
             "markers_m": None if self.markers is None else self.units.lengths(self.markers),
@@ -228,6 +230,29 @@ class _Camera(SensorDataset):
         yield from beyond(("pose",), self.pose, len(self.motion), "poses")
         if self.markers is not None:
             yield from beyond(("marker",), self.marker, len(self.markers), "markers")
+
+
+class _Camera(_Markers):
+    noise_m: tuple[Noise, Noise, Noise]
+    """Standard deviation of a point along x, y and z of the camera."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {**super().arguments(), "covariance": np.diag(np.square(self.noise_m))}
+
+
+class _Tracker(_Markers):
+    noise_m: Noise
+    """Standard deviation of a point in every direction."""
+    angle_noise_rad: Angle = Field(default=0.0, ge=0, le=0.01)
+    """Standard deviation of the direction of the beam: across it, a point scatters more with its distance."""
+
+    def arguments(self) -> dict[str, Any]:
+        return {**super().arguments(), "std_m": self.noise_m, "angle_std_rad": self.angle_noise_rad}
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        if self.shared_errors.offset_m > 0.0:
+            yield ("shared_errors", "offset"), "a tracker has no offset along its z", "take it out"
 
 
 class _PointLaserOnSphere(_OnSphere, _PointLaser):
@@ -261,4 +286,5 @@ SENSOR_DATASETS: Final[dict[str, type[SensorDataset]]] = {
     "touch-planes": _TouchOnPlanes,
     "camera-hand-eye": _Camera,
     "camera-eye-to-hand": _Camera,
+    "tracker": _Tracker,
 }

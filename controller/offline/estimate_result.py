@@ -8,10 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from controller.offline.dataset_parts import Dataset
+from controller.quantities import format_angle, format_length
 from estimation.belief import Belief
+from estimation.kinematics import PARAMETER_NAMES, ArmModel
 from estimation.solver import Update
 from estimation.statistics import expanded_uncertainty
 from estimation.tasks.findings import Cause
+from estimation.tasks.kinematics import Calibrated
 from estimation.tasks.solve import CONSISTENCY_LEVEL, Result
 from estimation.transform import FloatArray, Transform
 
@@ -30,6 +33,7 @@ class Estimate:
     update : posterior and diagnostics, None when refused.
     parameters : posterior of the blocks that a user asked for, or that the data made better known.
     second_cost : cost of the next best solution over that of the best, None if there is none.
+    arm : with its parameters as they were found, where these were to be calibrated.
     """
 
     task: str
@@ -39,6 +43,7 @@ class Estimate:
     update: Update | None = None
     parameters: Belief | None = None
     second_cost: float | None = None
+    arm: ArmModel | None = None
 
 
 def estimate(dataset: Dataset) -> Estimate:
@@ -48,15 +53,15 @@ def estimate(dataset: Dataset) -> Estimate:
 
 def of_result(result: Result) -> Estimate:
     """A result of the estimator, judged by what a user may do with it."""
-    notes = tuple(str(finding) for finding in result.findings)
     if result.estimate is None:
-        return Estimate(result.task, REFUSED, " ".join(notes))
+        return Estimate(result.task, REFUSED, " ".join(result.notes))
     copies = [str(finding) for finding in result.findings if finding.cause is Cause.DUPLICATED]
     reason = " ".join([*copies, _unexplained(result.estimate)]).strip()
     second = None if result.ambiguity is None else result.ambiguity.ratio
     shown = result.belief.marginal(result.shown)
     status = NOT_USABLE if reason else USABLE
-    return Estimate(result.task, status, reason, notes, result.estimate, shown, second)
+    arm = result.arm if isinstance(result, Calibrated) else None
+    return Estimate(result.task, status, reason, result.notes, result.estimate, shown, second, arm)
 
 
 def _unexplained(update: Update) -> str:
@@ -83,8 +88,10 @@ def document(found: Estimate) -> dict[str, Any]:
     std = scale * np.sqrt(np.diag(belief.covariance))
     labels = list(belief.labels)
     used = ~update.rejected
+    arm = {} if found.arm is None else {"arm": _links(found.arm)}
     return {
         **head,
+        **arm,
         "notes": list(found.notes),
         "parameters": {block.name: _value(block.value, block.units) for block in belief.blocks},
         "parameter_names": labels,
@@ -113,6 +120,15 @@ def document(found: Estimate) -> dict[str, Any]:
             "second_solution_cost_ratio": found.second_cost,
         },
     }
+
+
+def _links(arm: ArmModel) -> list[dict[str, str]]:
+    """Links as data sets and cell files have them."""
+    form = {name: format_length if name in ("a", "d") else format_angle for name in PARAMETER_NAMES}
+    return [
+        {name: form[name](float(getattr(arm, name)[joint]), 6) for name in PARAMETER_NAMES}
+        for joint in range(arm.joint_count)
+    ]
 
 
 def table_rows(found: Estimate) -> list[tuple[str, str, str, str, str, str]]:

@@ -51,10 +51,6 @@ class MarkerTask(SensorTask):
     def readings(self) -> Readings:
         return Readings(self.points_m, self.covariance_of_points(), self.pose_index)
 
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return ("points_m", "pose_index", "marker_index")
-
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         count = checks.rows_of(self.points_m)
         markers = {} if self.markers_m is None else {"markers_m": (self.markers_m, (None, 3))}
@@ -130,11 +126,6 @@ class CameraHandEye(MarkerTask):
 
     task: ClassVar[str] = "camera-hand-eye"
     sensor: ClassVar[str] = "camera"
-
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        own = ("covariance",) if np.ndim(self.covariance) == 3 else ()
-        return super().per_reading + own
 
     def covariance_of_points(self) -> FloatArray:
         return np.broadcast_to(self.covariance, (len(self.points_m), 3, 3))

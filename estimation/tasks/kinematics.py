@@ -1,38 +1,32 @@
 """Kinematic parameters of an arm from whatever a task measures, alone or together with the mount.
 
-What no such measurement can tell apart is found from the rank of the Jacobian, at the joints of the data and
-all over their limits. For each such freedom one parameter keeps its nominal value, the first that takes part
-in it of: theta and d of joint 1 (they place the base frame), all of the last link (they place the flange
-frame), d of joints whose axis is parallel to the next, from the base outwards, the longest link (the scale,
-where nothing of known length is seen), compliance, and the others. A parameter with a prior is never held.
+What only another choice of frames would change is held (`arm_gauge.py`); what else the data leave open is
+refused, or comes from its prior.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
-from estimation.gauge import Gauge, gauges
+from estimation.gauge import Gauge
 from estimation.kinematics import PARAMETER_NAMES, ArmModel
-from estimation.model import values_of, vector_of
 from estimation.observability import Direction, rank_report
 from estimation.tasks import checks
+from estimation.tasks.arm_gauge import arm_gauges
 from estimation.tasks.chain import SensorChain
-from estimation.tasks.elsewhere import elsewhere
 from estimation.tasks.findings import Cause, Finding
 from estimation.tasks.motion import COMPLIANCE, KINEMATICS, Joints
 from estimation.tasks.sensing import SensorTask
-from estimation.tasks.solve import Result, solve
+from estimation.tasks.solve import Minimum, Result, descents, solve
 
-_ELSEWHERE: Final = 300  # measurements to find gauge freedoms with, and
-_FOR_EACH: Final = 4  # times as many as there are unknowns at least
+_BETTER: Final = 0.25  # of the cost while the arm is nominal
 _SMALLEST_MOTION_RAD: Final = np.radians(20.0)
-_SAME_SCALE: Final = 1e-3  # of all lengths, by which they may grow differently and still be one scale
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,23 +106,18 @@ class KinematicTask:
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
         """What no such measurement can tell, and what is held for it."""
-        motion = self._every
-        task = replace(self.measured, motion=motion)
-        belief = task.rough().started(self._best_start())
-        values, count = values_of(belief), max(_ELSEWHERE, _FOR_EACH * int(belief.flat.sum()))
-        rows = elsewhere(task, motion, values, count).model().rows(values)
-        found = gauges(belief, rows.dense(belief), rows.noise_variance, _order(motion))
-        return tuple(_as_scale(gauge, motion.arm) for gauge in found)
+        return arm_gauges(self.measured, self._every, self._nominal.values)
 
-    def _best_start(self) -> Mapping[str, Value]:
-        """The start of the nominal arm with the smallest residuals."""
+    @cached_property
+    def _nominal(self) -> Minimum:
+        """What fits best while the arm is nominal."""
         model = self.measured.model()
-        known = values_of(self.measured.rough())
-        costs = []
-        for start in self._nominal_starts:
-            rows = model.rows({**known, **start})
-            costs.append(float(np.sum(rows.residual_m**2)))
-        return {} if not costs else self._nominal_starts[int(np.argmin(costs))]
+        found, reason = descents(
+            self.measured, model, self._nominal_starts, np.ones(len(model), dtype=np.bool_)
+        )
+        if not found:
+            raise reason
+        return found[0]
 
     @cached_property
     def _nominal_starts(self) -> Sequence[Mapping[str, Value]]:
@@ -180,9 +169,19 @@ class KinematicTask:
     def settled(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         return self.reduced.settled(values)
 
-    def explanations(self) -> Sequence[tuple[Finding, "KinematicTask"]]:
-        """Mistakes with motion, units and labels."""
-        return [(finding, replace(self, measured=other)) for finding, other in self.measured.explanations()]
+    def explanations(self) -> Iterator[tuple[Finding, "KinematicTask"]]:
+        """Mistakes with motion, units and labels, of which the nominal arm says already that they may be."""
+        for finding, other in self.measured.explanations():
+            again = replace(self, measured=other)
+            if again._cost() < _BETTER * self._cost():
+                yield finding, again
+
+    def _cost(self) -> float:
+        """Of the best fit while the arm is nominal; infinite where there is none."""
+        try:
+            return np.inf if checks.refusing(self.measured.check()) else self._nominal.cost
+        except EstimationError:
+            return np.inf
 
     def diagnose(self, values: Mapping[str, Value], rejected: NDArray[np.bool_] | None) -> Sequence[Finding]:
         found = list(self.reduced.diagnose(values, rejected))
@@ -202,42 +201,46 @@ class KinematicTask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
-    """What calibrating an arm found.
+class Calibrated(Result):
+    """What calibrating an arm found; block "kinematics" has deviations from the nominal arm.
 
     Attributes
     ----------
-    result : estimate, covariance and findings; block "kinematics" has deviations from the nominal arm.
     gauges : freedoms that such measurements leave open, with the parameter that is held for each.
     prior_only : directions of which the data say next to nothing, so that only their prior holds them.
     arm : the nominal arm with the deviations that were found; None when refused.
     """
 
-    result: Result
     gauges: tuple[Gauge, ...] = ()
     prior_only: tuple[Direction, ...] = ()
     arm: ArmModel | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        held = (f"{gauge.words}: held at its nominal value." for gauge in self.gauges)
+        prior = (f"{direction.words}. {direction.remedy}." for direction in self.prior_only)
+        return (*Result.notes.__get__(self), *held, *prior)
 
 
 def calibrate(problem: KinematicTask, explain: bool = True) -> Calibrated:
     """Estimate; never raises for bad data, which come back refused with their cause."""
     result = solve(problem, explain)
+    found: dict[str, Any] = {field.name: getattr(result, field.name) for field in fields(Result)}
     if result.estimate is None:
-        return Calibrated(result)
-    arm = problem.motion.arm
-    belief = result.belief
-    if KINEMATICS not in belief:
-        return Calibrated(result, problem.gauges, (), arm)
-    rows = problem.model().rows(result.values)
-    used = ~result.rejected
-    initial = problem.belief()
+        return Calibrated(**found)
+    arm, belief = problem.motion.arm, result.belief
     held: tuple[Direction, ...] = ()
-    if not initial.block(KINEMATICS).flat:
-        report = rank_report(
-            initial, belief, rows.dense(belief)[used], rows.noise_variance[used], (KINEMATICS,)
-        )
-        held = report.held_by_prior
-    return Calibrated(result, problem.gauges, held, arm.with_deviation(vector_of(result.values, KINEMATICS)))
+    if KINEMATICS in belief:
+        arm = arm.with_deviation(belief.vector(KINEMATICS))
+        if not problem.belief().block(KINEMATICS).flat:
+            held = _held_by_prior(problem, result)
+    return Calibrated(**found, gauges=problem.gauges, prior_only=held, arm=arm)
+
+
+def _held_by_prior(problem: KinematicTask, result: Result) -> tuple[Direction, ...]:
+    rows, used = problem.model().rows(result.values), ~result.rejected
+    dense, variance = rows.dense(result.belief)[used], rows.noise_variance[used]
+    return rank_report(problem.belief(), result.belief, dense, variance, (KINEMATICS,)).held_by_prior
 
 
 def _std_of(motion: Joints) -> dict[tuple[int, str], float]:
@@ -249,43 +252,3 @@ def _flat(belief: Belief, name: str) -> bool:
     """Whether a block has no prior at all."""
     block = belief.block(name)
     return len(block.flat) == len(block.freedoms) > 0
-
-
-def _order(motion: Joints) -> list[str]:
-    """Labels of what may be held, the first choice first."""
-    arm, last = motion.arm, motion.arm.joint_count
-    ends = ["theta1", "d1", *(f"{name}{last}" for name in PARAMETER_NAMES)]
-    parallel = [f"d{joint + 1}" for joint in np.flatnonzero(arm.parallel_to_next)]
-    lengths = {
-        f"{name}{joint + 1}": abs(getattr(arm, name)[joint]) for joint, name in arm.free if name in "da"
-    }
-    longest = sorted(lengths, key=lambda label: -float(lengths[label]))[:1]
-    others = [f"{name}{joint + 1}" for name in reversed(PARAMETER_NAMES) for joint in range(last)]
-    soft = [f"{COMPLIANCE}.joint{joint + 1}" for joint in motion.soft_joints]
-    return [
-        *(f"{KINEMATICS}.{label}" for label in (*ends, *parallel, *longest)),
-        *soft,
-        *(f"{KINEMATICS}.{label}" for label in others),
-    ]
-
-
-def _as_scale(gauge: Gauge, arm: ArmModel) -> Gauge:
-    """The gauge with words of its own where all lengths of the arm grow together."""
-    nominal = {
-        f"{KINEMATICS}.{name}{joint + 1}": float(getattr(arm, name)[joint])
-        for joint in range(arm.joint_count)
-        for name in ("a", "d")
-    }
-    amounts = dict(gauge.partners)
-    own = nominal.get(gauge.held, 0.0)
-    if not own or not any(nominal.get(label) for label in amounts):
-        return gauge
-    grown = [
-        abs(amounts.get(label, 0.0) - length / own) for label, length in nominal.items() if label in amounts
-    ]
-    if max(grown) > _SAME_SCALE:
-        return gauge
-    return replace(
-        gauge,
-        words=f"{gauge.held.rpartition('.')[2]} says how large the arm is: nothing of known length is seen",
-    )

@@ -47,10 +47,6 @@ class PointLaser(SensorTask):
     def readings(self) -> Readings:
         return along_z(self.reading_m, self.std_m)
 
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return ("reading_m",)
-
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {"reading_m": (self.reading_m, (len(self.motion),))}
 
@@ -71,10 +67,6 @@ class ProfileLaser(SensorTask):
         points[:, 1:] = self.profile_m
         covariance[:, 1, 1], covariance[:, 2, 2] = self.std_m[0] ** 2, self.std_m[1] ** 2
         return Readings(points, covariance, self.pose_index)
-
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return ("profile_m", "pose_index")
 
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {
@@ -214,10 +206,6 @@ class PointLaserOnPlanes(_OnPlanes, PointLaser):
     """Point laser on three or more faces of the part: 5 + 6 parameters."""
 
     task: ClassVar[str] = "point-laser-planes"
-
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return (*super().per_reading, "face_index")
 
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {**super().arrays(), "face_index": (self.face_index, (len(self.motion),))}

@@ -42,10 +42,6 @@ class Touches(SensorTask):
         covariance = np.broadcast_to(self.std_m**2 * np.eye(3), (count, 3, 3))
         return Readings(np.zeros((count, 3)), covariance, np.arange(count))
 
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return ()
-
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {}
 
@@ -104,10 +100,6 @@ class TouchOnPlanes(Touches):
 
     task: ClassVar[str] = "touch-planes"
     object: ClassVar[str] = "part"
-
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        return ("face_index",)
 
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {"face_index": (self.face_index, (len(self.motion),))}

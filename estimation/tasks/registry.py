@@ -19,6 +19,7 @@ _SENSOR_KINDS: Final[tuple[type[SensorTask], ...]] = (
     probe.TouchOnPlanes,
     camera.CameraHandEye,
     camera.CameraEyeToHand,
+    camera.Tracker,
 )
 _PAIR_KINDS: Final[tuple[type[PairTask], ...]] = (pairs.PosePairs, pairs.PosePairsBeside, pairs.MovePairs)
 
@@ -29,4 +30,9 @@ PAIR_TASKS: Final[Mapping[str, type[PairTask]]] = {kind.task: kind for kind in _
 """A sensor reports whole poses, or how it moved."""
 
 TASKS: Final[Mapping[str, type[Problem]]] = {**SENSOR_TASKS, **PAIR_TASKS, TwoRobots.task: TwoRobots}
-"""All of them."""
+"""All of them; the arm is known, or has priors."""
+
+KINEMATIC_TASKS: Final[Mapping[str, type[SensorTask]]] = {
+    f"kinematics-{name}": kind for name, kind in SENSOR_TASKS.items()
+}
+"""What a `KinematicTask` takes its readings from, by the name that it has then."""

@@ -67,11 +67,6 @@ class SensorTask:
         """The arrays as they were given, each with the shape that it must have; None for any length."""
         raise NotImplementedError
 
-    @property
-    def per_reading(self) -> tuple[str, ...]:
-        """Attributes that hold one row for each reading."""
-        raise NotImplementedError
-
     def with_object_priors(self, belief: Belief) -> Belief:
         """Adds what is known of the object: certificate, form."""
         return belief

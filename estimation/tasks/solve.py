@@ -1,6 +1,6 @@
 """From a Problem to a Result: checks, starts, the same non-linear estimate for all, diagnosis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -53,7 +53,7 @@ class Problem(Protocol):
     def settled(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         """The same solution with what changes nothing, such as spin about a beam, fixed by rule."""
 
-    def explanations(self) -> Sequence[tuple[Finding, "Problem"]]:
+    def explanations(self) -> Iterable[tuple[Finding, "Problem"]]:
         """Mistakes that people make with such data, and the same problem with each undone."""
 
     def diagnose(self, values: Mapping[str, Value], rejected: NDArray[np.bool_] | None) -> Sequence[Finding]:
@@ -88,6 +88,11 @@ class Result:
     initial: Belief | None = None
     shown: tuple[str, ...] = ()
     ambiguity: Ambiguity | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What people must know beside the values, a sentence each."""
+        return tuple(str(finding) for finding in self.findings)
 
     @property
     def update(self) -> Update:

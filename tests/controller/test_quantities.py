@@ -98,6 +98,7 @@ FORMATS: list[tuple[Callable[[float], str], q.Dimension]] = [
     (q.format_angular_speed, q.ANGULAR_SPEED),
     (q.format_angular_acceleration, q.ANGULAR_ACCELERATION),
     (q.format_ratio, q.RATIO),
+    (q.format_mass, q.MASS),
     (q.format_frequency, q.FREQUENCY),
 ]
 

@@ -18,7 +18,7 @@ from controller.offline.dataset import DATASETS, read_dataset
 from controller.offline.estimate_result import estimate
 from controller.offline.refusal import BadFile
 from estimation.tasks.pairs import MovePairs, PairTask
-from estimation.tasks.registry import TASKS
+from estimation.tasks.registry import KINEMATIC_TASKS, TASKS
 from estimation.tasks.solve import solve
 from tests.controller.offline.answers import EXAMPLES, Run, inside
 from tests.estimation.tasks.cells import CELLS
@@ -220,7 +220,7 @@ def test_a_bad_csv_is_refused(
 
 
 def test_every_task_has_its_form_and_schema(run: Run) -> None:
-    assert set(DATASETS) | {"two-robots"} == {*TASKS, "localization"}
+    assert set(DATASETS) | {"two-robots"} == {*TASKS, *KINEMATIC_TASKS, "localization"}
     made = {ALL_CELLS[name](np.random.default_rng(1)).problem.task for name in ALL_CELLS}
     assert made | {"two-robots"} == set(TASKS)
     for task in DATASETS:
@@ -250,6 +250,8 @@ def _written(problem: Any) -> dict[str, Any]:
     else:
         std = problem.std_m
         said["noise"] = [f"{v} m" for v in std] if isinstance(std, tuple) else f"{std} m"
+    if hasattr(problem, "angle_std_rad"):
+        said["angle_noise"] = f"{problem.angle_std_rad} rad"
     for name in ("radius", "ball_radius"):
         if getattr(problem, f"{name}_m", None) is not None:
             said[name] = f"{getattr(problem, f'{name}_m')} m"
@@ -332,7 +334,7 @@ def test_a_localization_finds_the_part_with_the_error_of_the_mount_in_it(tmp_pat
 
 def test_every_example_in_the_docs_keeps_the_form(tmp_path: Path) -> None:
     blocks = re.findall(r"```json\n(.*?)```", (EXAMPLES.parent / "datasets.md").read_text(), re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     for block in blocks:
         (tmp_path / "example.json").write_text(block)
         read_dataset(tmp_path / "example.json").problem()

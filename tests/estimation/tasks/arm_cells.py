@@ -9,12 +9,11 @@ from estimation.kinematics import ArmModel
 from estimation.tasks.camera import Tracker
 from estimation.tasks.kinematics import KinematicTask
 from estimation.tasks.motion import Joints
-from tests.estimation.tasks.cells import anywhere
+from tests.estimation.tasks.cells import TRACKER_STD_M, TRACKER_STD_RAD, anywhere
 from tests.estimation.twin import DEG, FREE, LIMITS_RAD, MM, NAMES, TABLE, arm, forward
 
 FloatArray = NDArray[np.float64]
 JOINT_RAD = 0.0015 * DEG
-TRACKER_STD_M, TRACKER_STD_RAD = 0.01 * MM, 2e-6
 NOMINAL = replace(arm(), free=())
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimation.surfaces import Feature, plane
-from estimation.tasks.camera import CameraEyeToHand, CameraHandEye
+from estimation.tasks.camera import CameraEyeToHand, CameraHandEye, Tracker
 from estimation.tasks.laser import (
     PointLaserOnPlane,
     PointLaserOnPlanes,
@@ -33,6 +33,7 @@ RANGE_STD_M = 0.03 * MM
 PROFILE_STD_M = (0.02 * MM, 0.03 * MM)
 TOUCH_STD_M = 0.01 * MM
 CAMERA_STD_M = np.array([0.03, 0.03, 0.1]) * MM
+TRACKER_STD_M, TRACKER_STD_RAD = 0.01 * MM, 2e-6
 RADIUS_M, BALL_M = 15 * MM, 2 * MM
 PLATE_M, BOARD_M = 0.13, 0.12
 
@@ -284,6 +285,24 @@ def camera_eye_to_hand(rng: np.random.Generator, count: int = 12) -> Cell:
     return Cell(problem, {"camera": base_T_camera, "object": flange_T_object})
 
 
+def tracker(rng: np.random.Generator, count: int = 16) -> Cell:
+    """Two reflectors on the flange, a tracker some metres away."""
+    flange = np.array([anywhere(rng) for _ in range(count)])
+    base_T_tracker, sits = anywhere(rng, 2.5), rng.uniform(-0.08, 0.08, (2, 3))
+    points = np.einsum("kij,nj->kni", flange[:, :3, :3], sits) + flange[:, None, :3, 3]
+    points = ((points - base_T_tracker[:3, 3]) @ base_T_tracker[:3, :3]).reshape(-1, 3)
+    beam = np.cross(rng.normal(size=points.shape) * TRACKER_STD_RAD, points)
+    problem = Tracker(
+        motion=Poses(reported(rng, flange), *POSE_STD),
+        points_m=points + beam + rng.normal(size=points.shape) * TRACKER_STD_M,
+        pose_index=np.repeat(np.arange(count), 2),
+        marker_index=np.tile([0, 1], count),
+        std_m=TRACKER_STD_M,
+        angle_std_rad=TRACKER_STD_RAD,
+    )
+    return Cell(problem, {"tracker": base_T_tracker, "reflectors": sits.reshape(-1)})
+
+
 Make = Callable[[np.random.Generator], Cell]
 
 CELLS: dict[str, Make] = {
@@ -299,4 +318,5 @@ CELLS: dict[str, Make] = {
     "camera-hand-eye": camera_hand_eye,
     "camera-hand-eye, markers unknown": lambda rng: camera_hand_eye(rng, known=False),
     "camera-eye-to-hand": camera_eye_to_hand,
+    "tracker": tracker,
 }

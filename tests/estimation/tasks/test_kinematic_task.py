@@ -20,14 +20,13 @@ from estimation.transform import FloatArray, Transform
 from tests.estimation.tasks.arm_cells import (
     JOINT_RAD,
     NOMINAL,
-    TRACKER_STD_M,
     deviations,
     drawn_table,
     everywhere,
     random_arm,
     tracker_cell,
 )
-from tests.estimation.tasks.cells import RANGE_STD_M, to_plane
+from tests.estimation.tasks.cells import RANGE_STD_M, TRACKER_STD_M, to_plane
 from tests.estimation.twin import (
     DEG,
     FREE,
@@ -61,11 +60,11 @@ def test_a_tracker_sees_eighteen_parameters_and_the_others_are_named() -> None:
     assert words["a6"] == "a6 of kinematics cannot be told apart from the reflectors"
     assert words["d2"] == "d2 of kinematics cannot be told apart from d3 of kinematics"
     found = calibrate(cell.problem)
-    assert found.result.status is Status.OK, found.result.findings
-    assert found.result.belief.block("kinematics").freedoms == EIGHTEEN
-    assert found.result.rank is not None and found.result.rank.complete
-    error = found.result.belief.vector("kinematics") - deviations(cell.problem, cell.table)
-    assert nees(error, found.result.covariance("kinematics")) < 18 + 5 * np.sqrt(36)
+    assert found.status is Status.OK, found.findings
+    assert found.belief.block("kinematics").freedoms == EIGHTEEN
+    assert found.rank is not None and found.rank.complete
+    error = found.belief.vector("kinematics") - deviations(cell.problem, cell.table)
+    assert nees(error, found.covariance("kinematics")) < 18 + 5 * np.sqrt(36)
     assert found.arm is not None
     table = np.column_stack([getattr(found.arm, name) for name in NAMES])
     free = tuple(zip(*[(joint, NAMES.index(name)) for joint, name in FREE], strict=True))
@@ -96,7 +95,7 @@ def test_the_same_as_least_squares_of_scipy() -> None:
         ]
     )
     other = least_squares(residuals, truth, method="lm", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    result = calibrate(cell.problem).result
+    result = calibrate(cell.problem)
     covariance = np.linalg.inv(other.jac.T @ other.jac)[9:, 9:]
     sigma = np.sqrt(np.diag(covariance))
     assert np.abs(result.belief.vector("kinematics") - other.x[9:]) / sigma == pytest.approx(
@@ -136,10 +135,10 @@ def replica_errors(seeds: range) -> tuple[FloatArray, int]:
 
 
 def test_the_truth_lies_in_the_stated_region_as_often_as_it_should() -> None:
-    squares, freedoms = replica_errors(range(100, 140))
+    squares, freedoms = replica_errors(range(100, 116))
     assert np.mean(squares) == pytest.approx(freedoms, abs=3.3 * np.sqrt(2 * freedoms / len(squares)))
     inside = int(np.sum(squares < 40.113))  # chi-square of 27, 95 %
-    assert inside >= 34
+    assert inside >= 12
 
 
 @pytest.mark.campaign
@@ -148,7 +147,7 @@ def test_coverage_of_the_whole_task_without_a_start() -> None:
     squares = []
     for seed in range(total):
         cell = tracker_cell(np.random.default_rng(10_000 + seed))
-        result = calibrate(cell.problem).result
+        result = calibrate(cell.problem)
         assert result.status is not Status.REFUSED
         error = deviations(cell.problem, cell.table) - result.belief.vector("kinematics")
         squares.append(nees(error, result.covariance("kinematics")))
@@ -197,7 +196,7 @@ def test_law_what_is_held_changes_no_prediction() -> None:
     measured = cell.problem.measured
     assert isinstance(measured.motion, Joints)
     other = replace(cell.problem, measured=replace(measured, motion=replace(measured.motion, arm=moved)))
-    one, two = calibrate(cell.problem).result, calibrate(other).result
+    one, two = calibrate(cell.problem), calibrate(other)
     assert two.chi2 == pytest.approx(one.chi2, rel=1e-6)
     assert two.belief.vector("kinematics") == pytest.approx(one.belief.vector("kinematics"), abs=1e-7)
     assert two.covariance("kinematics") == pytest.approx(one.covariance("kinematics"), rel=1e-3)
@@ -220,7 +219,7 @@ def test_the_faces_of_a_part_calibrate_the_arm_together_with_the_laser() -> None
     words = held(problem)
     assert set(words) == {"theta1", "d1", "theta6", "d6", "a6", "alpha6", "d2"}
     assert words["alpha6"] == "alpha6 of kinematics cannot be told apart from the pose of the laser"
-    result = calibrate(problem).result
+    result = calibrate(problem)
     assert result.status is Status.OK, result.findings
     error = result.belief.vector("kinematics") - deviations(problem, table)
     assert nees(error, result.covariance("kinematics")) < 18 + 5 * np.sqrt(36)
@@ -228,7 +227,7 @@ def test_the_faces_of_a_part_calibrate_the_arm_together_with_the_laser() -> None
     mount = Transform("flange", "laser", exp(np.array([*LASER, 0, 0, 0])))
     alone = KinematicTask(measured=replace(measured, mount=mount, mount_std=np.zeros(5)))
     assert set(held(alone)) == {"theta1", "d1", "d2"}
-    assert calibrate(alone).result.status is Status.OK
+    assert calibrate(alone).status is Status.OK
 
 
 def plate_task() -> PointLaserOnPlane:
@@ -241,9 +240,9 @@ def plate_task() -> PointLaserOnPlane:
 
 def test_one_level_plate_leaves_parameters_open_that_get_no_number_or_only_their_prior() -> None:
     flat = calibrate(KinematicTask(measured=plate_task()))
-    assert flat.result.status is Status.REFUSED and flat.arm is None
-    assert "a1 of kinematics is not seen by the measurements" in flat.result.findings[0].problem
-    assert "give a prior" in flat.result.findings[0].remedy
+    assert flat.status is Status.REFUSED and flat.arm is None
+    assert "a1 of kinematics is not seen by the measurements" in flat.findings[0].problem
+    assert "give a prior" in flat.findings[0].remedy
     known = replace(NOMINAL, free=tuple(NOMINAL.every_parameter))
     std = [1e-3 if name in ("a", "d") else 0.1 * DEG for _, name in known.free]
     measured = plate_task()
@@ -252,7 +251,7 @@ def test_one_level_plate_leaves_parameters_open_that_get_no_number_or_only_their
     prior = KinematicTask(measured=replace(measured, motion=motion))
     assert prior.gauges == ()
     found = calibrate(prior)
-    assert found.result.status is Status.OK, found.result.findings
+    assert found.status is Status.OK, found.findings
     said = [direction.words for direction in found.prior_only]
     assert "a1 of kinematics is known from the prior only" in said
     assert "theta1 of kinematics is known from the prior only" in said
@@ -270,21 +269,21 @@ def test_a_joint_that_stands_still_is_named() -> None:
     joints = everywhere(rng, 60)
     joints[:, 3] = 0.4
     found = calibrate(tracker_cell(rng, joints=joints).problem, explain=False)
-    assert found.result.status is Status.REFUSED
-    assert found.result.values == {}
-    assert [finding.cause for finding in found.result.findings] == [Cause.STILL_JOINT, Cause.UNDETERMINED]
-    assert "Joint 4 moves by 0 deg, limit 20 deg" in found.result.findings[0].problem
-    assert "cannot be told apart" in found.result.findings[1].problem
+    assert found.status is Status.REFUSED
+    assert found.values == {}
+    assert [finding.cause for finding in found.findings] == [Cause.STILL_JOINT, Cause.UNDETERMINED]
+    assert "Joint 4 moves by 0 deg, limit 20 deg" in found.findings[0].problem
+    assert "cannot be told apart" in found.findings[1].problem
     # The offsets of the others can be had when nothing else is asked for.
     cell = tracker_cell(rng, joints=joints, table=TABLE)
     offsets = replace(cell.problem, identify=tuple((joint, "theta") for joint in range(6) if joint != 3))
-    result = calibrate(offsets, explain=False).result
+    result = calibrate(offsets, explain=False)
     assert result.status is Status.OK, result.findings
     assert result.belief.block("kinematics").freedoms == ("theta2", "theta3", "theta5")
 
 
 def refusal(problem: KinematicTask) -> tuple[Cause, str]:
-    result = calibrate(problem, explain=False).result
+    result = calibrate(problem, explain=False)
     assert result.status is Status.REFUSED
     return result.findings[0].cause, result.findings[0].problem
 
@@ -319,7 +318,7 @@ def test_joints_that_yield_under_gravity_are_told_from_their_offsets() -> None:
     problem = KinematicTask(measured=replace(measured, motion=motion))
     # The axis of joint 1 is upright: no torque of gravity, nothing to yield to.
     assert held(problem)["joint1"] == "joint1 of compliance is not seen by such measurements"
-    result = calibrate(problem).result
+    result = calibrate(problem)
     assert result.status is Status.OK, result.findings
     assert result.belief.block("compliance").freedoms == ("joint2", "joint3", "joint4", "joint5", "joint6")
     assert result.belief.block("compliance").units == ("rad/Nm",) * 5
@@ -328,4 +327,14 @@ def test_joints_that_yield_under_gravity_are_told_from_their_offsets() -> None:
     covariance = result.belief.marginal(("compliance", "kinematics")).covariance
     assert nees(error, covariance) < 23 + 5 * np.sqrt(46)
     rigid = KinematicTask(measured=replace(measured, motion=replace(motion, load=None)))
-    assert calibrate(rigid, explain=False).result.status is not Status.OK
+    assert calibrate(rigid, explain=False).status is not Status.OK
+
+
+def test_exchanged_joints_are_recognised_whatever_the_arm_is_like() -> None:
+    cell = tracker_cell(np.random.default_rng(9), count=40)
+    measured = cell.problem.measured
+    assert isinstance(measured.motion, Joints)
+    swapped = replace(measured.motion, joints_rad=measured.motion.joints_rad[:, [0, 1, 2, 4, 3, 5]])
+    result = calibrate(replace(cell.problem, measured=replace(measured, motion=swapped)))
+    assert result.status is Status.REFUSED
+    assert result.findings[-1].cause is Cause.SWAPPED_JOINTS
