@@ -223,31 +223,34 @@ class CellJob:
         self, spec: PhaseSpec, attempt: int, steps: Sequence[Step], checkpoint: Callable[[], None]
     ) -> list[Sample]:
         """Take what is missing of the steps; a sample counts once the store has it."""
+        while missing := self._missing(spec, attempt, len(steps)):  # again: some may be marked meanwhile
+            misses = 0
+            for done, place in enumerate(missing, start=len(steps) - len(missing) + 1):
+                checkpoint()
+                step = steps[place]
+                sample = self._acquisition.take(step, steps[place - 1] if place else None)
+                self._store.add_sample(self.run.id, spec.name, attempt, place, step.kind, sample.to_dict())
+                self._tell(
+                    phase=spec.name,
+                    activity="acquiring",
+                    attempt=attempt,
+                    step=done,
+                    steps=len(steps),
+                    text=sample.why,
+                )
+                misses = 0 if sample.good else misses + 1
+                if step.object == "part" and misses == FIRST_MISSES == done:
+                    self._mark_for_retake(spec, attempt)
+                    raise OutsideCause(
+                        "No part: the first three points found nothing", "Put the part in, then Unsuspend"
+                    )
+        return self._samples(spec, attempt)
+
+    def _missing(self, spec: PhaseSpec, attempt: int, steps: int) -> list[int]:
+        """Places in the plan that have no sample, or one that is to be taken again."""
         stored = self._store.samples(self.run.id, spec.name, attempt, include_excluded=True)
         done = {sample.step for sample in stored if sample.mark != "retake"}
-        misses = 0
-        for place, step in enumerate(steps):
-            if place in done:
-                continue
-            checkpoint()
-            sample = self._acquisition.take(step, steps[place - 1] if place else None)
-            self._store.add_sample(self.run.id, spec.name, attempt, place, step.kind, sample.to_dict())
-            done.add(place)
-            self._tell(
-                phase=spec.name,
-                activity="acquiring",
-                attempt=attempt,
-                step=len(done),
-                steps=len(steps),
-                text=sample.why,
-            )
-            misses = 0 if sample.good else misses + 1
-            if step.object == "part" and misses == FIRST_MISSES == len(done):
-                self._mark_for_retake(spec, attempt)
-                raise OutsideCause(
-                    "No part: the first three points found nothing", "Put the part in, then Unsuspend"
-                )
-        return self._samples(spec, attempt)
+        return [place for place in range(steps) if place not in done]
 
     def _mark_for_retake(self, spec: PhaseSpec, attempt: int) -> None:
         for stored in self._store.samples(self.run.id, spec.name, attempt):

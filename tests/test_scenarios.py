@@ -91,6 +91,22 @@ def test_a_pulled_cable_holds_and_the_job_goes_on_after_unhold(make: list[Determ
     assert any(event.kind == "reference" for event in cell.store.events())
 
 
+def test_a_sample_marked_while_the_job_runs_is_taken_again(make: list[DeterministicCell]) -> None:
+    make.append(cell := DeterministicCell(1))
+
+    def mark() -> None:
+        third, fifth = (s for s in cell.store.samples(1, "localize") if s.step in (3, 5))
+        cell.store.retake(third.id, "somebody leaned on the table", "Ada")
+        cell.store.exclude(fifth.id, "chip on the face", "Ada")
+
+    _once(cell, "localize", "acquiring", 20, mark)
+    assert cell.run() is State.COMPLETED and cell.released
+    attempts = [s for s in cell.store.samples(1, "localize", include_excluded=True) if s.step in (3, 5)]
+    assert [(s.step, s.mark) for s in attempts] == [(3, "retake"), (5, "excluded"), (3, None)]
+    used = cell.results()["localize"].sample_ids
+    assert [s.id in used for s in attempts] == [False, False, True]
+
+
 def test_a_missing_part_suspends_and_the_job_goes_on_when_it_is_there(make: list[DeterministicCell]) -> None:
     make.append(cell := DeterministicCell(1, "part-missing"))
     assert cell.run() is State.SUSPENDED
@@ -141,13 +157,3 @@ def test_an_expired_hand_eye_is_measured_again_and_all_that_rests_on_it(
         [attempts] * 3
     )
     assert any(event.kind == "expired" for event in cell.store.events()) is (attempts == 2)
-
-
-def test_the_same_seed_gives_the_same_record(make: list[DeterministicCell]) -> None:
-    """Everything that the store holds of two runs, event by event."""
-    records = []
-    for _ in range(2):
-        make.append(cell := DeterministicCell(3))
-        cell.run()
-        records.append([(event.kind, event.text, event.hash) for event in cell.store.events()])
-    assert records[0] == records[1]

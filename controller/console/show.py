@@ -1,5 +1,7 @@
 """Answers of the daemon as tables for people."""
 
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -21,6 +23,7 @@ _COLOURS: Final = {
     "Aborting": "red",
 }
 _WHOLE_COLUMNS: Final = ("step", "joints_deg", "on", "verdict")
+_WIDTH_OF_FILES: Final = 200
 _STATE_OF_RUN_OPEN: Final = "open"
 
 
@@ -131,5 +134,6 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def console() -> Console:
-    """Standard output; plain text when it is no terminal."""
-    return Console(highlight=False, soft_wrap=True)
+    """Standard output; plain text when it is no terminal, and then wide enough not to cut tables."""
+    narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return Console(highlight=False, soft_wrap=True, width=None if narrow else _WIDTH_OF_FILES)
