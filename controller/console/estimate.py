@@ -1,7 +1,5 @@
 """`truecell estimate`: a calibration or localization from a data set."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -47,6 +45,9 @@ def estimate(
     write: Annotated[
         Path | None, typer.Option("--write", help="Write samples as a data set in JSON, too.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write a page (HTML): table, residuals, budgets.")
+    ] = None,
     schema: Annotated[
         str | None, typer.Option("--schema", help="Print the JSON schema of this task's data sets, and end.")
     ] = None,
@@ -70,12 +71,18 @@ def estimate(
             "No data set is named", "Write for example truecell estimate docs/examples/hand-eye.json"
         )
     given = Given(mounting, arm_noise, sensor_noise)
-    with _working(as_json):
+    with options.working(f"reading {dataset.name}") as say:
         if program is not None or dataset.suffix.lower() in _SAMPLES:
             found = _imported(dataset, program, given, csv, write)
         else:
             found = _read(dataset, given, csv, write)
+        say("estimating")
         answer = solved(found)
+        if report is not None:
+            from controller.offline.estimate_page import page
+
+            say("drawing")
+            options.write_file(report, page(answer, dataset.name), "--report")
     if as_json:
         options.print_json(document(answer))
     else:
@@ -111,33 +118,14 @@ def _read(path: Path, given: "Given", csv: Path | None, write: Path | None) -> "
     return read_dataset(path, None if csv is None else read_joints_and_ranges(csv))
 
 
-@contextmanager
-def _working(quiet: bool) -> Iterator[None]:
-    """A sign of life on a terminal, for what takes over a second."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield
-        return
-    with console.status("estimating"):
-        yield
-
-
 def _print(answer: "Estimate") -> None:
     from controller.console.show import console, table_of
-    from controller.offline.estimate_result import document, table_rows
+    from controller.offline.estimate_result import COLUMNS, summary, table_rows
 
-    said = document(answer)
     if answer.update is not None:
-        keys = ("parameter", "value", "u", "U (95 %)", "unit", "budget")
-        console().print(table_of([dict(zip(keys, row, strict=True)) for row in table_rows(answer)]))
-        checks = said["diagnostics"]
-        typer.echo(
-            f"{answer.task}: {checks['rows']} rows, {len(checks['rejected_rows'])} left out, rms "
-            f"{said['rms_mm']:.4g} mm, {said['dof']} degrees of freedom, variance factor "
-            f"{checks['variance_factor']:.3g}"
-        )
+        rows = [dict(zip(COLUMNS, row, strict=True)) for row in table_rows(answer)]
+        console().print(table_of(rows))
+        typer.echo(summary(answer))
     for note in answer.notes:
         typer.echo(f"Note: {note}")
     typer.echo(f"Status: {answer.status}{f': {answer.reason}' if answer.reason else ''}")

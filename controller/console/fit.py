@@ -74,20 +74,23 @@ def fit(
 
     sigma_m = None if sigma is None else _positive(sigma, "--sigma")
     size_m = None if size is None else _positive(size, "--size")
-    points_m = read_points(points, unit.value, size_m)
     choice = None
-    try:
-        if surface is SurfaceName.AUTO:
-            choice = fit_any(points_m, sigma_m, robust)
-            found = choice.fit
-        else:
-            found = fit_surface(surface.value, points_m, sigma_m, robust)
-    except FitRefused as refusal:
-        _refuse(refusal, surface.value, as_json)
-    if report is not None:
-        from controller.offline.fit_page import page
+    with options.working(f"reading {points.name}") as say:
+        points_m = read_points(points, unit.value, size_m)
+        say(f"fitting {len(points_m)} points")
+        try:
+            if surface is SurfaceName.AUTO:
+                choice = fit_any(points_m, sigma_m, robust)
+                found = choice.fit
+            else:
+                found = fit_surface(surface.value, points_m, sigma_m, robust)
+        except FitRefused as refusal:
+            _refuse(refusal, surface.value, as_json)
+        if report is not None:
+            from controller.offline.fit_page import page
 
-        options.write_file(report, page(found, choice, points.name), "--report")
+            say("drawing")
+            options.write_file(report, page(found, choice, points.name), "--report")
     if as_json:
         options.print_json(document(found, choice))
     else:

@@ -3,7 +3,7 @@
 import getpass
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -77,3 +77,16 @@ def write_file(path: Path, text: str, option: str) -> None:
         raise BadInput(
             f"{option}: {path} cannot be written ({error.strerror})", "Name a file in a folder that exists"
         ) from error
+
+
+@contextmanager
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """A sign of life on a terminal, for what may take over a second; call it to say what comes next."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status(what) as status:
+        yield status.update

@@ -1,6 +1,6 @@
 """The estimate of a data set for people and for scripts: millimetres, degrees and covariance."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -87,7 +87,6 @@ def document(found: Estimate) -> dict[str, Any]:
     scale = np.array([_outside(unit)[1] for block in belief.blocks for unit in block.units])
     std = scale * np.sqrt(np.diag(belief.covariance))
     labels = list(belief.labels)
-    used = ~update.rejected
     arm = {} if found.arm is None else {"arm": _links(found.arm)}
     return {
         **head,
@@ -104,7 +103,7 @@ def document(found: Estimate) -> dict[str, Any]:
             source: dict(zip(labels, (np.diag(matrix) * scale**2).tolist(), strict=True))
             for source, matrix in belief.contributions.items()
         },
-        "rms_mm": 1e3 * float(np.sqrt(np.mean(update.residual_m[used] ** 2))),
+        "rms_mm": 1e3 * _rms_m(update),
         "dof": update.dof,
         "diagnostics": {
             "chi2": update.chi2,
@@ -131,9 +130,41 @@ def _links(arm: ArmModel) -> list[dict[str, str]]:
     ]
 
 
+COLUMNS: Final = ("parameter", "value", "u", "U (95 %)", "unit", "budget")
+
+
 def table_rows(found: Estimate) -> list[tuple[str, str, str, str, str, str]]:
     """Name, value, standard and expanded uncertainty, unit, budget; of points in the worst direction."""
-    rows = []
+    return [_row(*quantity) for quantity in _quantities(found)]
+
+
+def budget_shares(found: Estimate) -> dict[str, dict[str, float]]:
+    """Of the origin and the rotation of each pose, the share of each source in the variance."""
+    shares = {name: _shares(parts) for name, value, _, parts in _quantities(found) if len(value) > 1}
+    return {name: parts for name, parts in shares.items() if parts}
+
+
+def summary(found: Estimate) -> str:
+    """Rows, scatter and redundancy in one line."""
+    if found.update is None:
+        return ""
+    update = found.update
+    rms_mm = 1e3 * _rms_m(update)
+    return (
+        f"{found.task}: {len(update.residual_m)} rows, {int(update.rejected.sum())} left out, rms "
+        f"{rms_mm:.4g} mm, {update.dof} degrees of freedom, variance factor {update.variance_factor:.3g}"
+    )
+
+
+def _rms_m(update: Update) -> float:
+    return float(np.sqrt(np.mean(update.residual_m[~update.rejected] ** 2)))
+
+
+_Quantity = tuple[str, FloatArray, str, dict[str, FloatArray]]
+
+
+def _quantities(found: Estimate) -> Iterator[_Quantity]:
+    """Name, value, unit inside, and covariance by source: of origin and rotation of poses, and of numbers."""
     belief = found.parameters or Belief()
     for block in belief.blocks:
         place = belief.index(block.name)
@@ -144,14 +175,13 @@ def table_rows(found: Estimate) -> list[tuple[str, str, str, str, str, str]]:
             pose = f"{block.value.target}_T_{block.value.source}"
             rpy = Rotation.from_matrix(block.value.rotation).as_euler("xyz")
             if len(shifts):
-                rows.append(_row(f"{pose} origin", block.value.origin_m, "m", _of(parts, shifts)))
+                yield f"{pose} origin", block.value.origin_m, "m", _of(parts, shifts)
             if len(tilts):
-                rows.append(_row(f"{pose} roll pitch yaw", rpy, "rad", _of(parts, tilts)))
+                yield f"{pose} roll pitch yaw", rpy, "rad", _of(parts, tilts)
             continue
         for i, (name, unit) in enumerate(zip(block.freedoms, block.units, strict=True)):
             label = block.name if len(block.freedoms) == 1 else f"{block.name} {name}"
-            rows.append(_row(label, block.value[i : i + 1], unit, _of(parts, np.array([i]))))
-    return rows
+            yield label, block.value[i : i + 1], unit, _of(parts, np.array([i]))
 
 
 def _of(parts: Mapping[str, FloatArray], place: Any) -> dict[str, FloatArray]:
@@ -165,16 +195,20 @@ def _row(
     covariance = np.sum(list(parts.values()), axis=0) * factor**2
     u = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
     digits = int(np.clip(1 - np.floor(np.log10(u)) if u > 0.0 else 4, 0, 9))
-    shares = {source: float(np.trace(matrix)) for source, matrix in parts.items()}
-    whole = sum(shares.values()) or 1.0
     budget = [
-        f"{source} {100 * share / whole:.0f} %"
-        for source, share in sorted(shares.items(), key=lambda item: -item[1])
-        if share > 0.005 * whole
+        f"{source} {100 * share:.0f} %"
+        for source, share in sorted(_shares(parts).items(), key=lambda item: -item[1])
+        if share > 0.005
     ]
     numbers = " ".join(f"{number:.{digits}f}" for number in factor * value)
     expanded = f"{float(expanded_uncertainty(covariance)):.3g}"
     return name, numbers, f"{u:.3g}", expanded, word, ", ".join(budget)
+
+
+def _shares(parts: Mapping[str, FloatArray]) -> dict[str, float]:
+    shares = {source: float(np.trace(matrix)) for source, matrix in parts.items()}
+    whole = sum(shares.values()) or 1.0
+    return {source: share / whole for source, share in shares.items() if share > 0.0}
 
 
 def _value(value: Transform | FloatArray, units: tuple[str, ...]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from controller.console.exit_codes import ExitCode
-from controller.offline import dataset_parts
+from controller.offline import dataset_parts, estimate_page
 from controller.offline.dataset import DATASETS, read_dataset
 from controller.offline.estimate_result import estimate
 from controller.offline.refusal import BadFile
@@ -68,6 +68,60 @@ def test_a_table_for_people_names_value_uncertainty_unit_and_budget(run: Run) ->
     code, out, _ = run(EXAMPLES / "hand-eye.json")
     assert code == ExitCode.OK
     assert all(word in out for word in ("U (95 %)", "joint noise", "mm", "deg", "Status: usable"))
+
+
+def test_the_report_is_one_page_with_table_residuals_and_budgets(run: Run, tmp_path: Path) -> None:
+    code, _, _ = run(EXAMPLES / "hand-eye.json", "--report", tmp_path / "out.html")
+    assert code == ExitCode.OK
+    page = (tmp_path / "out.html").read_text()
+    assert "point-laser-plane from hand-eye.json" in page
+    assert "flange_T_laser origin" in page and "joint noise 49 %" in page
+    assert page.count("<svg") == 1 + 4  # residuals, and the budget of origin and rotation of two poses
+    linked = set(re.findall(r"https?://[^\s\"']+", page))
+    assert linked <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}  # names, not links
+    assert not re.search(r"<(script|link|iframe)|src=|@import", page)
+
+
+def test_a_long_report_draws_the_largest_residuals_and_says_so(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estimate_page, "_MOST_ROWS", 20)
+    run(EXAMPLES / "hand-eye.json", "--report", tmp_path / "out.html")
+    assert re.search(
+        r"(1[0-9]|20) of 40 rows are drawn, the largest among them", (tmp_path / "out.html").read_text()
+    )
+
+
+def test_a_refusal_has_its_page_too_and_names_are_no_markup(
+    run: Run, content: dict[str, Any], tmp_path: Path
+) -> None:
+    content["motion"]["angles"], content["readings"] = (
+        content["motion"]["angles"][:5],
+        content["readings"][:5],
+    )
+    (tmp_path / "<b>few.json").write_text(json.dumps(content))
+    code, _, _ = run(tmp_path / "<b>few.json", "--report", tmp_path / "out.html")
+    assert code == ExitCode.NOT_DECIDABLE
+    page = (tmp_path / "out.html").read_text()
+    assert "5 measured numbers for 8 unknowns" in page
+    assert "&lt;b&gt;few.json" in page and "<b>" not in page
+    code, _, err = run(tmp_path / "<b>few.json", "--report", tmp_path / "no" / "out.html")
+    assert code == ExitCode.BAD_INPUT and "--report: " in err
+
+
+def test_json_has_the_names_that_scripts_rely_on(run: Run) -> None:
+    answer = json.loads(run(EXAMPLES / "hand-eye.json", "--json")[1])
+    assert answer.keys() >= {
+        *("task", "status", "reason", "parameters", "parameter_names", "covariance", "covariance_units"),
+        *("covariance_form", "covariance_order", "rms_mm", "dof", "diagnostics"),
+    }
+    for pose in answer["parameters"].values():
+        assert pose.keys() == {"target", "source", "matrix_mm"}
+        assert np.shape(pose["matrix_mm"]) == (4, 4)
+    count = len(answer["parameter_names"])
+    assert np.shape(answer["covariance"]) == (count, count)
+    assert len(answer["covariance_units"]) == count
+    assert set(answer["covariance_units"]) == {"mm", "deg"}
 
 
 def test_readings_that_scatter_farther_than_stated_are_not_usable(
