@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
@@ -58,11 +59,13 @@ def outcomes() -> list[Outcome]:
 
 
 @pytest.mark.timeout(1200)
-def test_honest_cells_are_released_and_none_wrongly(outcomes: list[Outcome]) -> None:
+def test_honest_cells_are_released_and_none_wrongly(
+    outcomes: list[Outcome], record_property: Callable[[str, object], None]
+) -> None:
     refused = [outcome for outcome in outcomes if not outcome.released]
+    record_property("whole jobs", f"{len(outcomes) - len(refused)} of {len(outcomes)} released OK")
     for outcome in refused:
-        print(f"seed {outcome.seed}: {outcome.state}: {outcome.message}")
-    print(f"released OK: {len(outcomes) - len(refused)} of {len(outcomes)}")
+        record_property(f"whole jobs, seed {outcome.seed}", f"{outcome.state}: {outcome.message}")
     for outcome in outcomes[:10]:
         for row in outcome.rows:
             flag = "inside" if row.inside else "OUTSIDE"
@@ -75,13 +78,12 @@ def test_honest_cells_are_released_and_none_wrongly(outcomes: list[Outcome]) -> 
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("which", ["hand_eye_nees", "part_nees"])
-def test_the_95_percent_region_holds_the_truth(outcomes: list[Outcome], which: str) -> None:
+def test_the_95_percent_region_holds_the_truth(
+    outcomes: list[Outcome], which: str, record_property: Callable[[str, object], None]
+) -> None:
     values = np.array([getattr(outcome, which) for outcome in outcomes])
     honesty = Honesty(5 if which == "hand_eye_nees" else 6, values[np.isfinite(values)])
     low, high = honesty.band(0.99)
-    print(
-        f"{which}: inside {honesty.inside} of {len(honesty.values)}, mean NEES/m "
-        f"{honesty.mean_over_dimension:.3f}, 99 % band {low:.3f} to {high:.3f}"
-    )
+    record_property(f"whole jobs, {which}", str(honesty))
     assert INSIDE[0] <= honesty.inside <= INSIDE[1]
     assert low <= honesty.mean_over_dimension <= high

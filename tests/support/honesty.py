@@ -44,6 +44,13 @@ class Honesty:
         """ANEES: 1 when honest."""
         return float(np.mean(self.values) / self.dimension)
 
+    def __str__(self) -> str:
+        low, high = self.band(0.99)
+        return (
+            f"inside the 95 % region {self.inside} of {len(self.values)}, "
+            f"mean NEES/m {self.mean_over_dimension:.3f}, 99 % band {low:.3f} to {high:.3f}"
+        )
+
     def band(self, probability: float) -> tuple[float, float]:
         """Where the mean over the dimension lies with this probability, when honest."""
         dof = self.dimension * len(self.values)
