@@ -56,7 +56,10 @@ def main(step: Path, out: Path) -> int:
 
 def main_mesh(path: Path, out: Path, unit_m: float) -> int:
     """STL or PLY: flat regions are planes, the smooth rest is one face for each connected region."""
-    mesh = trimesh.load_mesh(path)
+    try:
+        mesh = trimesh.load_mesh(path)
+    except ImportError:  # bytes that are no mesh are taken for a text, whose encoding another library guesses
+        return 1
     mesh = trimesh.Trimesh(np.asarray(mesh.vertices) * unit_m, mesh.faces)
     mesh.merge_vertices()
     if not len(mesh.faces):

@@ -60,8 +60,9 @@ def _importer_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
                 run_path(command[2], run_name="__main__")
             except SystemExit as ended:
                 code = int(ended.code or 0)
-            except Exception:  # whatever a broken mesh ends in: a process would end with 1
+            except Exception as error:  # whatever a broken mesh ends in: a process would end like this
                 code = 1
+                print(repr(error), file=sys.stderr)
         return subprocess.CompletedProcess(command, code, b"", said.getvalue().encode())
 
     monkeypatch.setattr(subprocess, "run", run)
@@ -77,9 +78,22 @@ def _importer_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
         (edit('cad_unit = "mm"\n', ""), r"part\.cad_unit: key is missing"),
         (edit('cad_unit = "mm"', 'cad_unit = "m"'), r"measures \d+\.?\d* m, more than the 5 m"),
         (edit(r'faces = \["top"', 'faces = ["topp"'), r"no such feature.*top"),
+        (
+            edit(r'name = "top"\nat = \[[^]]*\]', 'name = "top"\nat = ["500 mm", "0 mm", "0 mm"]'),
+            r"part\.features\[top\]\.at = .*: no face of the part lies within 1 mm of \(500, 0, 0\) mm",
+        ),
         (FAR, r"part\.xyz.*: the part is out of reach"),
     ],
-    ids=["broken", "open", "1000 times too large", "no unit", "wrong unit", "wrong name", "out of reach"],
+    ids=[
+        "broken",
+        "open",
+        "1000 times too large",
+        "no unit",
+        "wrong unit",
+        "wrong name",
+        "beside the face",
+        "out of reach",
+    ],
 )
 def test_bad_parts_are_refused_in_one_sentence(
     damage: Callable[[Path], None],
