@@ -33,6 +33,7 @@ CRITERION_NAMES: Final = (
     "sum of eigenvalues (pose)",
     "volume of the corner's ellipsoid",
 )
+UNITS: Final = ("mm$^6$ rad$^6$", "mm$^2$ + rad$^2$", "mm$^3$")  # the sum mixes units, as in the thesis
 DRAWS: Final = 300
 
 
@@ -82,6 +83,7 @@ def draw() -> Iterator[str]:
             axis.semilogy(levels, least, "-", linewidth=1.0, color="#1d5b8f")
             axis.set_title(f"Figure {number}: {name}", fontsize=8)
             axis.set_xlabel(f"distance (mm), {what}", fontsize=7)
+            axis.set_ylabel(UNITS[column], fontsize=7)
             axis.tick_params(labelsize=7)
             best, farthest = int(np.argmin(value)), np.isclose(distance, distance.max())
             middle = np.abs(distance - np.median(distance)) < 0.02 * distance.max()
