@@ -15,4 +15,5 @@ def make_devices(cell: Cell, ports: Ports, clock: Clock, *, keep_alive_thread: b
         make_robot(cell.robot, ports, clock, patience=patience, keep_alive_thread=keep_alive_thread),
         make_laser(cell.laser, ports, clock, patience),
         make_probe(cell.probe, ports, clock, patience),
+        ports.searches,
     )

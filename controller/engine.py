@@ -319,7 +319,7 @@ class Engine:
         """Links open, identities as declared, drives enabled, no motion."""
         if not self._connected:
             for device in self._devices.all():
-                identity = device.connect()
+                identity = self._devices.connect(device)
                 self._job.record(
                     "connected",
                     f"{identity.model} {identity.serial_number}".strip(),

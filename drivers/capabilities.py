@@ -4,8 +4,8 @@ Values carry the time they belong to, on the driver's clock. There is no last-va
 a driver answers with a value newer than the question, or raises.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
@@ -207,13 +207,28 @@ class TouchProbe(Device, Protocol):
         """The stylus touches nothing now, read afresh."""
 
 
+class Search(Protocol):
+    """Finds a device whose port has no fixed name."""
+
+    def connect(self, device: Device) -> Identity:
+        """Connect the device wherever it is. Raises DeviceError."""
+
+
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """The devices of one cell by role."""
+    """The devices of one cell by role; `searches` are of those roles that must be looked for."""
 
     robot: Robot
     laser: RangeSensor
     probe: TouchProbe
+    searches: Mapping[str, Search] = field(default_factory=dict)
+
+    def connect(self, device: Device) -> Identity:
+        """Connect one of the devices, where it is or wherever it is found. Raises DeviceError."""
+        for role, search in self.searches.items():
+            if getattr(self, role) is device:
+                return search.connect(device)
+        return device.connect()
 
     def all(self) -> Sequence[Device]:
         """In the order in which they are connected."""

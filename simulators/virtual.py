@@ -6,6 +6,7 @@ Nothing runs while nobody waits: a read lets time jump to the device's next outp
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from estimation.errors import DeviceError
 from simulators.cell import CellModel
@@ -160,6 +161,7 @@ class VirtualPorts:
 
     def __init__(self, links: Mapping[str, VirtualLink]) -> None:
         self.links = links
+        self.searches: Mapping[str, Any] = {}  # every device is where it is
 
     def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> VirtualCanLink:
         """The CAN bus of this name."""

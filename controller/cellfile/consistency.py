@@ -12,7 +12,7 @@ from typing import Any, Final
 from controller.cellfile import job_checks, part_checks
 from controller.cellfile.arm import Arm
 from controller.cellfile.cell import Header
-from controller.cellfile.lasers import GocatorLaser, Laser, OptoncdtLaser, RiftekLaser
+from controller.cellfile.lasers import Laser, OptoncdtLaser, RiftekLaser
 from controller.cellfile.lines import KeyPath
 from controller.cellfile.mistakes import Mistake, Source, nearest
 from controller.cellfile.objects import Artefact, Bar, Part, Plate, Sphere
@@ -156,13 +156,23 @@ def interface(robot: Arm) -> Iterator[Finding]:
         yield ("robot", "port"), "a path, but the interface is socketcan", 'write its name, such as "can0"'
 
 
-def ports(robot: Arm, laser: Laser, source: Source) -> Iterator[Finding]:
-    """One device on each port."""
-    if not isinstance(robot, CanopenRobot) or robot.interface != "slcan":
-        return
-    if not isinstance(laser, GocatorLaser) and Path(robot.port) == Path(getattr(laser, "port", "")):
-        line = source.index.line_of(("robot", "port"))
-        yield ("laser", "port"), f"the robot is on this port (line {line})", "give each device its own port"
+def ports(robot: Arm, laser: Laser, probe: Probe, source: Source) -> Iterator[Finding]:
+    """One device on each port. A bus of SocketCAN can be shared, and a pattern finds each its own."""
+    taken = dict[object, str]()
+    for name, device in (("robot", robot), ("laser", laser), ("probe", probe)):
+        port = getattr(device, "port", None)
+        shared = getattr(device, "interface", "") == "socketcan"
+        if port is None or shared or (isinstance(port, str) and any(sign in port for sign in "*?[")):
+            continue
+        address = Path(port) if isinstance(port, str) else (getattr(device, "host", ""), port)
+        if address in taken:
+            line = source.index.line_of((taken[address], "port"))
+            yield (
+                (name, "port"),
+                f"the {taken[address]} is on this port (line {line})",
+                "give each device its own port",
+            )
+        taken.setdefault(address, name)
 
 
 def laser_ranges(laser: Laser) -> Iterator[Finding]:

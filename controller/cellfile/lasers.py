@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, StringConstraints
 
-from controller.cellfile.tables import Host, Placement, Table, Text
+from controller.cellfile.tables import CanBus, Host, Placement, SerialLine, Table, Text
 from controller.quantities import Angle, Duration, Frequency, Length, Ratio
 
 Digits = Annotated[str, StringConstraints(pattern=r"^[0-9]+$", max_length=20)]
@@ -43,13 +43,11 @@ class Laser(Table):
     """Where the laser sits on the flange."""
 
 
-class OptoncdtLaser(Laser):
+class OptoncdtLaser(SerialLine, Laser):
     """A Micro-Epsilon optoNCDT 1420 on RS-422."""
 
     driver: Literal["optoncdt-1420"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     baud: Literal[9600, 19200, 56000, 115200, 128000, 230400, 256000, 460800, 691200, 921600, 1_000_000]
     """Baud rate of the line."""
     model: Text
@@ -58,13 +56,11 @@ class OptoncdtLaser(Laser):
     """Compared with what the laser answers."""
 
 
-class RiftekLaser(Laser):
+class RiftekLaser(SerialLine, Laser):
     """A RIFTEK RF60x: its base distance is `range_start`. One driver for each of its protocols."""
 
     driver: Literal["riftek-ascii", "riftek-binary", "riftek-modbus"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     baud: int = Field(default=9600, ge=2400, le=460_800, multiple_of=2400)
     """Baud rate of the line, 8E1."""
     serial_number: Digits
@@ -79,13 +75,11 @@ class RiftekLaser(Laser):
     """Two-wire RS-485: the adapter returns what is sent (Modbus)."""
 
 
-class KeyenceLaser(Laser):
+class KeyenceLaser(SerialLine, Laser):
     """A Keyence IL laser on a DL-RS1A."""
 
     driver: Literal["keyence-il"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     baud: Literal[2400, 4800, 9600, 19200, 38400] = 9600
     """Baud rate of the line, 8N1."""
     amplifiers: int = Field(default=1, ge=1, le=15)
@@ -119,17 +113,11 @@ class GocatorLaser(Laser):
     """The measurement grows towards the head."""
 
 
-class AmsLaser(Laser):
+class AmsLaser(CanBus, Laser):
     """A Leuze AMS 335i on a CAN bus of its own."""
 
     driver: Literal["ams-335i"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyACM0`, a path relative to this file, or the interface of `socketcan`."""
-    interface: Literal["slcan", "socketcan"]
-    """Kind of CAN interface."""
-    bitrate: Literal[50_000, 125_000, 250_000, 500_000, 1_000_000]
-    """Bit/s on the bus."""
     node: int = Field(ge=1, le=127)
     """Its CANopen node."""
     serial_number: Digits

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from controller.cellfile.tables import Host, Placement, Table, Text
+from controller.cellfile.tables import CanBus, Host, Placement, SerialLine, Table, Text
 from controller.quantities import Duration, Length, Speed
 
 
@@ -49,17 +49,11 @@ class AdamProbe(Probe):
     """Input that the probe is wired to."""
 
 
-class WagoProbe(Probe):
+class WagoProbe(CanBus, Probe):
     """A touch-trigger probe on an input of a WAGO 750-337 (CANopen); its event timer is `poll_period`."""
 
     driver: Literal["wago-750-337"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyACM0`, a path relative to this file, or the interface of `socketcan`."""
-    interface: Literal["slcan", "socketcan"]
-    """Kind of CAN interface."""
-    bitrate: Literal[50_000, 125_000, 250_000, 500_000, 1_000_000]
-    """Bit/s on the bus."""
     node: int = Field(ge=1, le=127)
     """CANopen node of the station."""
     model: str = Field(default="", max_length=40)
@@ -68,13 +62,11 @@ class WagoProbe(Probe):
     """Input that the probe is wired to."""
 
 
-class ForceProbe(Probe):
+class ForceProbe(SerialLine, Probe):
     """A stylus on a Robotiq FT 300 force sensor, which sends a value every 10 ms."""
 
     driver: Literal["robotiq-ft300"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     serial_number: str = Field(default="", max_length=20)
     """Compared with what the sensor answers, if given."""
     threshold_newton: float = Field(gt=0, le=100)
@@ -85,13 +77,11 @@ class ForceProbe(Probe):
     """Largest force that a free stylus shows in any orientation, by its weight and the sensor's zero."""
 
 
-class GaugeProbe(Probe):
+class GaugeProbe(SerialLine, Probe):
     """A Keyence GT2 contact gauge on a DL-RS1A; each poll is one question on its line."""
 
     driver: Literal["keyence-gt2"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     baud: Literal[2400, 4800, 9600, 19200, 38400] = 9600
     """Baud rate of the line, 8N1."""
     amplifiers: int = Field(default=1, ge=1, le=15)

@@ -6,21 +6,15 @@ from typing import Annotated, Literal
 from pydantic import Field, StringConstraints
 
 from controller.cellfile.arm import Arm
-from controller.cellfile.tables import Host, Text
+from controller.cellfile.tables import CanBus, Host, SerialLine
 from controller.quantities import Angle, AngularSpeed, Duration, Frequency, Length
 
 
-class CanopenRobot(Arm):
+class CanopenRobot(CanBus, Arm):
     """An arm whose joints are CiA 402 drives on one CAN bus."""
 
     driver: Literal["canopen-402"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyACM0`, a path relative to this file, or the interface of `socketcan`."""
-    interface: Literal["slcan", "socketcan"]
-    """Kind of CAN interface."""
-    bitrate: Literal[50_000, 125_000, 250_000, 500_000, 1_000_000]
-    """Bit/s on the bus."""
     nodes: tuple[Annotated[int, Field(ge=1, le=127)], ...]
     """CANopen node of each joint, from the base outwards."""
     sync_period_s: Duration = Field(ge=0.001, le=1)
@@ -64,13 +58,11 @@ class MelfaTcpRobot(MelfaRobot):
     """TCP port of a second session, over which a stop waits for nothing; without it, it goes next."""
 
 
-class MelfaSerialRobot(MelfaRobot):
+class MelfaSerialRobot(SerialLine, MelfaRobot):
     """A Mitsubishi MELFA controller on RS-232, R-protocol; a stop goes next after the answer in flight."""
 
     driver: Literal["melfa-serial"]
     """Which driver speaks to it."""
-    port: Text
-    """Device such as `/dev/ttyUSB0`, or a path relative to this file."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 9600
     """Baud rate of the line."""
     framing: Literal["8E2", "8E1", "8N1", "8N2", "8O1", "8O2"] = "8E2"

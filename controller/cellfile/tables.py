@@ -2,7 +2,7 @@
 
 import re
 from math import radians
-from typing import TYPE_CHECKING, Annotated, ClassVar, Final
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -67,3 +67,23 @@ class Placement(Table):
         from estimation.transform import Transform
 
         return Transform.from_xyz_rpy(self.parent, self.FRAME, np.array(self.xyz_m), np.array(self.rpy_rad))
+
+
+class SerialLine(Table):
+    """What every device on a serial line has."""
+
+    port: Text
+    """Device such as `/dev/ttyUSB0`, `/dev/serial/by-id/...` or `COM3`, or a path relative to this file. \
+`/dev/ttyUSB*` fits several: the device is looked for at each."""
+
+
+class CanBus(Table):
+    """What every device on a CAN bus has."""
+
+    port: Text
+    """Dongle such as `/dev/ttyACM0` or `COM3`, or a path relative to this file; `/dev/ttyACM*` fits \
+several. With `socketcan` the interface, such as `can0`."""
+    interface: Literal["slcan", "socketcan"]
+    """Kind of CAN interface."""
+    bitrate: Literal[50_000, 125_000, 250_000, 500_000, 1_000_000]
+    """Bit/s on the bus."""

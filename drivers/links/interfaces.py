@@ -3,8 +3,10 @@
 A real port and the deterministic cell both provide these; a driver cannot tell them apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
+
+from drivers.capabilities import Search
 
 
 class ByteLink(Protocol):
@@ -61,6 +63,10 @@ class Ports(Protocol):
 
     `name` says what the link is for, such as "robot" or "laser"; two links of one device have two names.
     """
+
+    @property
+    def searches(self) -> Mapping[str, Search]:
+        """How to connect the devices on links that have no fixed port, by name; devices without are there."""
 
     def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> CanLink:
         """A CAN bus behind an "slcan" dongle or a "socketcan" interface."""

@@ -74,6 +74,18 @@ def test_a_good_cell_is_accepted_by_file_and_by_folder(good: Cell, folder: Path)
     assert good.cad_path == folder / "block.step"
 
 
+@pytest.mark.parametrize(
+    "port", ["COM3", "/dev/ttyUSB3", "/dev/serial/by-id/usb-FTDI_A3-if00", "run/laser", "/dev/ttyUSB*"]
+)
+def test_ports_of_windows_and_linux_are_accepted(port: str, folder: Path) -> None:
+    text = edited('port = "run/laser"', f'port = "{port}"')
+    for robot in ('interface = "slcan"', 'interface = "socketcan"'):
+        other = "can0" if "socketcan" in robot else port.replace("3", "4").replace("laser", "arm")
+        here = edited('port = "run/arm"', f'port = "{other}"', text=text)
+        write(folder, edited('interface = "slcan"', robot, text=here))
+        assert check_cell(folder) == []
+
+
 def test_there_are_at_least_fifty_bad_cells_of_different_kinds() -> None:
     assert len({case["name"] for case in CASES}) == len(CASES) >= 50
 

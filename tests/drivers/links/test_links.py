@@ -9,6 +9,7 @@ import can
 import numpy as np
 import pytest
 
+from drivers.capabilities import Devices, Identity, LinkHealth
 from drivers.clock import RealClock
 from drivers.links.can_bus import PythonCanLink, is_whole
 from drivers.links.ports import RealPorts
@@ -16,7 +17,7 @@ from drivers.links.serial_port import SerialLink
 from drivers.links.tcp import TcpLink
 from drivers.probes.adam6052 import AdamProbe, ProbeConfig
 from drivers.robots.canopen_arm import CanopenArm
-from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from estimation.errors import DeviceError, DeviceTimeout, IdentityMismatch, MotionStopped
 from tests.drivers.robots.test_canopen_arm import CONFIG, DEG
 from tests.drivers.wires import SlcanDongle, pseudo_terminal, tcp_device
 
@@ -249,10 +250,71 @@ def test_bus_off_and_stray_frames_on_socketcan() -> None:
     link.close()
 
 
-def test_ports_are_found_from_the_folder_of_the_cell_file() -> None:
+class _Answers:
+    """A device that is the expected one at one port."""
+
+    def __init__(self, link: SerialLink, serial_numbers: dict[str, str]) -> None:
+        self._link, self._serial_numbers, self.closed = link, serial_numbers, 0
+
+    def connect(self) -> Identity:
+        self._link.reopen()
+        found = self._serial_numbers[self._link.port]
+        if found != "17":
+            raise IdentityMismatch(f"Serial number {found}, not 17", "Calibrate again")
+        return Identity("laser", found, "")
+
+    def health(self) -> LinkHealth:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        self._link.close()
+        self.closed += 1
+
+
+def test_a_device_is_found_by_its_identity_at_whatever_port_fits(tmp_path: Path) -> None:
+    with pseudo_terminal() as first, pseudo_terminal() as second:
+        for number, port in enumerate((first, second)):
+            (tmp_path / f"ttyUSB{number}").symlink_to(port.path)
+        ports = RealPorts(tmp_path, RealClock())
+        link = ports.serial("laser", "ttyUSB*", 9600)
+        there = {str(tmp_path / "ttyUSB0"): "4", str(tmp_path / "ttyUSB1"): "17"}
+        device = _Answers(link, there)
+        devices = Devices(device, device, device, ports.searches)  # type: ignore[arg-type]
+        search = ports.searches["laser"]
+        assert search.connect(device).serial_number == "17"
+        assert link.port == str(tmp_path / "ttyUSB1") and device.closed == 1
+        assert search.candidates()[0] == str(tmp_path / "ttyUSB1")  # where it was is tried first
+        there[str(tmp_path / "ttyUSB1")], there[str(tmp_path / "ttyUSB0")] = "4", "17"
+        assert devices.connect(devices.laser).serial_number == "17"
+        there[str(tmp_path / "ttyUSB0")] = "5"
+        with pytest.raises(DeviceError, match=r"None of the ports .*ttyUSB\* has the device") as missing:
+            search.connect(device)
+        assert "ttyUSB0: Serial number 5, not 17; ttyUSB1: Serial number 4" in str(missing.value)
+        link.close()
+    for name in ("ttyUSB0", "ttyUSB1"):
+        (tmp_path / name).unlink()
+    with pytest.raises(DeviceError, match=r"No port .*ttyUSB\* is there. Plug the device in"):
+        search.connect(device)
+
+
+@pytest.mark.parametrize(
+    ("port", "opened"),
+    [
+        ("COM3", "COM3"),
+        ("com12", "com12"),
+        (r"\\.\COM12", r"\\.\COM12"),
+        ("/dev/ttyUSB0", "/dev/ttyUSB0"),
+        (
+            "/dev/serial/by-id/usb-FTDI_FT232R_A1-if00-port0",
+            "/dev/serial/by-id/usb-FTDI_FT232R_A1-if00-port0",
+        ),
+        ("run/laser", "/cell/run/laser"),
+    ],
+)
+def test_port_names_of_windows_and_linux(port: str, opened: str) -> None:
     ports = RealPorts(Path("/cell"), RealClock())
-    assert ports.serial("laser", "run/laser", 9600).port == "/cell/run/laser"
-    assert ports.serial("laser", "/dev/ttyUSB0", 9600).port == "/dev/ttyUSB0"
-    assert ports.serial("laser", "COM3", 9600).port == "COM3"
-    assert ports.can_bus("robot", "slcan", "run/arm", 1_000_000).port == "/cell/run/arm"
-    assert ports.can_bus("robot", "socketcan", "can0", 1_000_000).port == "can0"
+    assert ports.serial("laser", port, 9600).port == opened
+    assert ports.can_bus("robot", "slcan", port, 500_000).port == opened
+    assert ports.can_bus("probe", "socketcan", "can0", 500_000).port == "can0"
+    assert ports.tcp("robot", "robot.example", 502).host == "robot.example"
+    assert not ports.searches
