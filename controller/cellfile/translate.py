@@ -114,7 +114,7 @@ def _path_in_file(location: tuple[int | str, ...], source: Source) -> KeyPath:
             isinstance(step, str)
             and isinstance(here, dict)
             and step not in here
-            and step in (here.get("kind"), here.get("driver"))
+            and step in (here.get("kind"), here.get("driver"), here.get("task"))
         )
         if not is_tag or (is_last and step in _keys(path, source)):
             path += (step,)

@@ -15,19 +15,21 @@ from controller.offline.dataset_localization import LocalizationDataset
 from controller.offline.dataset_pairs import PAIR_DATASETS
 from controller.offline.dataset_parts import Dataset
 from controller.offline.dataset_tasks import SENSOR_DATASETS
+from controller.offline.dataset_two_robots import TwoRobotsDataset
 from controller.offline.refusal import BadFile
 from controller.quantities import shown
 from estimation.localization.task import Localization
+from estimation.tasks.two_robots import TwoRobots
 
 DATASETS: Final[dict[str, type[Dataset]]] = {
     **SENSOR_DATASETS,
     **PAIR_DATASETS,
     **KINEMATIC_DATASETS,
+    TwoRobots.task: TwoRobotsDataset,
     Localization.task: LocalizationDataset,
 }
 _MOST_SHOWN: Final = 10
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+|\n')
-
 _ROW: Final = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")
 _SPACE: Final = re.compile(r"\s+")
 

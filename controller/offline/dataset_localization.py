@@ -84,6 +84,7 @@ class HandEye(Part):
 class LocalizationDataset(Dataset):
     """Points that were measured on an object."""
 
+    units: Units
     frame: Literal["base"]
     """Frame of the points."""
     points: Annotated[tuple[Point, ...], Field(min_length=1)]

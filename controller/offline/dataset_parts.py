@@ -1,8 +1,8 @@
 """What data sets of all tasks have in common: units, matrices, motion of the arm, priors, shared errors."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import pi, radians
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field
@@ -161,7 +161,6 @@ class Dataset(Part):
     """Name of the task."""
     about: str = ""
     """For people."""
-    units: Units
 
     def wrong(self) -> Iterator[Wrong]:
         """What single values do not show, each with its place."""
@@ -175,6 +174,7 @@ class Dataset(Part):
 class MotionDataset(Dataset):
     """What was measured at many poses of an arm."""
 
+    units: Units
     motion: Annotated[Poses | Joints, Field(discriminator="kind")]
 
     def wrong(self) -> Iterator[Wrong]:
@@ -198,12 +198,31 @@ class Prior(Part):
     """Frame that the matrix maps from: the sensor."""
     matrix: Matrix
     """The mount, 4 x 4."""
-    std: PoseStd
+    std: PoseStd | None = None
     """How well it is known; zeros hold it where it is."""
+    covariance: tuple[tuple[float, ...], ...] | None = None
+    """Instead of std, as `--json` of its calibration gives it: of its freedoms, in `units`."""
 
-    def mount(self, units: Units) -> Transform:
-        """In SI."""
-        return Transform(self.target, self.source, units.matrices(self.matrix))
+    def wrong(self, freedoms: Sequence[str]) -> Iterator[Wrong]:
+        """One of std and covariance, and of the freedoms that the sensor has."""
+        if (self.std is None) == (self.covariance is None):
+            yield ("prior",), "needs one of std and covariance", "say how well the mount is known"
+        if self.covariance is not None:
+            rows, count = [len(row) for row in self.covariance], len(freedoms)
+            if rows != [count] * count:
+                wanted = f"write {count} x {count} numbers, of {', '.join(freedoms)}"
+                yield ("prior", "covariance"), f"{len(rows)} rows of {max(rows, default=0)} numbers", wanted
+
+    def known(self, units: Units, freedoms: Sequence[str]) -> dict[str, Any]:
+        """Of the mount, as arguments of a problem, in SI."""
+        mount = Transform(self.target, self.source, units.matrices(self.matrix))
+        if self.std is not None:
+            std = [
+                self.std.rotation_rad if name.startswith("r") else self.std.position_m for name in freedoms
+            ]
+            return {"mount": mount, "mount_std": np.array(std)}
+        scale = [float((units.angles if name.startswith("r") else units.lengths)(1.0)) for name in freedoms]
+        return {"mount": mount, "mount_covariance": np.array(self.covariance) * np.outer(scale, scale)}
 
 
 class SharedErrors(Part):

@@ -53,11 +53,7 @@ class SensorDataset(MotionDataset):
         shared, prior = self.shared_errors, self.prior
         known: dict[str, Any] = {}
         if prior is not None:
-            std = [
-                prior.std.rotation_rad if name.startswith("r") else prior.std.position_m
-                for name in self.kind.mount_freedoms
-            ]
-            known = {"mount": prior.mount(self.units), "mount_std": np.array(std)}
+            known = prior.known(self.units, self.kind.mount_freedoms)
         return {
             "motion": self.motion.motion(self.units),
             "scale_std": shared.scale,
@@ -73,6 +69,7 @@ class SensorDataset(MotionDataset):
             for key, wanted in (("target", near), ("source", sensor)):
                 if getattr(self.prior, key) != wanted:
                     yield ("prior", key), "another frame", f'write "{wanted}": the prior is {near}_T_{sensor}'
+            yield from self.prior.wrong(self.kind.mount_freedoms)
         shared = self.shared_errors
         known = [f"{sensor}.scale"] * (shared.scale > 0) + [f"{sensor}.offset"] * (shared.offset_m > 0)
         for place, name in enumerate(shared.consider):
@@ -232,7 +229,9 @@ class _Markers(SensorDataset):
             yield from beyond(("marker",), self.marker, len(self.markers), "markers")
 
 
-class _Camera(_Markers):
+class Camera(_Markers):
+    """Markers by a camera."""
+
     noise_m: tuple[Noise, Noise, Noise]
     """Standard deviation of a point along x, y and z of the camera."""
 
@@ -259,8 +258,8 @@ class _PointLaserOnSphere(_OnSphere, _PointLaser):
     pass
 
 
-class _PointLaserOnPlanes(_OnPlanes, _PointLaser):
-    pass
+class PointLaserOnPlanes(_OnPlanes, _PointLaser):
+    """Faces of a part by a point laser."""
 
 
 class _ProfileLaserOnSphere(_OnSphere, _ProfileLaser):
@@ -272,19 +271,19 @@ class _TouchOnSphere(_OnSphere, _Touches):
     """Radius of the sphere: touches alone cannot tell it from that of the ball."""
 
 
-class _TouchOnPlanes(_OnPlanes, _Touches):
-    pass
+class TouchOnPlanes(_OnPlanes, _Touches):
+    """Faces of a part by a stylus."""
 
 
 SENSOR_DATASETS: Final[dict[str, type[SensorDataset]]] = {
     "point-laser-plane": _PointLaser,
-    "point-laser-planes": _PointLaserOnPlanes,
+    "point-laser-planes": PointLaserOnPlanes,
     "point-laser-sphere": _PointLaserOnSphere,
     "profile-laser-plane": _ProfileLaser,
     "profile-laser-sphere": _ProfileLaserOnSphere,
     "touch-sphere": _TouchOnSphere,
-    "touch-planes": _TouchOnPlanes,
-    "camera-hand-eye": _Camera,
-    "camera-eye-to-hand": _Camera,
+    "touch-planes": TouchOnPlanes,
+    "camera-hand-eye": Camera,
+    "camera-eye-to-hand": Camera,
     "tracker": _Tracker,
 }

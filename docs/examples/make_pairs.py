@@ -1,12 +1,12 @@
-"""Writes pose-pairs.json, pose-pairs-beside.json and move-pairs.json from known truth and a seed.
+"""Writes pose-pairs.json, pose-pairs-beside.json, move-pairs.json and two-robots.json from known truth.
 
     python docs/examples/make_pairs.py
 
 A camera sees the pose of a board at 15 poses of the arm: on the flange, while the board stands; and beside
 the arm, which carries the board. In the third file a tracker on the flange reports how it moved from each
-pose to the next. The arm reports its poses with 0.02 mm and 0.002 deg of noise, the sensor with 0.05 mm and
-0.01 deg. Everything here is plain geometry; nothing of the estimator is used. SENSOR_MM and OBJECT_MM are
-the truth.
+pose to the next. In the last file two arms, each with a camera, see the same board. An arm reports its poses
+with 0.02 mm and 0.002 deg of noise, a sensor with 0.05 mm and 0.01 deg. Everything here is plain geometry;
+nothing of the estimator is used. SENSOR_MM and OBJECT_MM are the truth, OTHER_BASE_MM that of the two arms.
 """
 
 import json
@@ -39,6 +39,10 @@ OBJECT_MM = {  # base_T_object of the board that stands, flange_T_object of the 
 }
 
 
+OTHER_BASE_MM = pose([1500.0, -300.0, 20.0], [0.5, -1.0, 170.0])  # base1_T_base2
+OTHER_SENSOR_MM = pose([-20.0, 55.0, 95.0], [-6.0, 4.0, -80.0])  # flange_T_sensor of the second arm
+
+
 def noisy(rng, matrix, noise):
     """A pose as a device says it."""
     shift, turn = rng.normal(size=3) * noise[0], rng.normal(size=3) * noise[1]
@@ -66,16 +70,29 @@ def written(noise):
 def dataset(task):
     """The data set of a task."""
     rng = np.random.default_rng(SEED)
-    seen, sensor = list(views(rng)), SENSOR_MM[task]
+    if task == "two-robots":
+        place = OBJECT_MM["pose-pairs"]
+        return {
+            **head(task),
+            "first": pairs(rng, "pose-pairs", SENSOR_MM["pose-pairs"], place),
+            "second": pairs(rng, "pose-pairs", OTHER_SENSOR_MM, np.linalg.inv(OTHER_BASE_MM) @ place),
+        }
+    return pairs(rng, task, SENSOR_MM[task], OBJECT_MM.get(task, OBJECT_MM["pose-pairs"]))
+
+
+def head(task):
+    return {"truecell_dataset": 1, "task": task, "about": f"Simulated by make_pairs.py, seed {SEED}"}
+
+
+def pairs(rng, task, sensor, place):
+    """What one arm and its sensor report."""
+    seen = list(views(rng))
     if task == "pose-pairs-beside":
-        flange = [sensor @ np.linalg.inv(view) @ np.linalg.inv(OBJECT_MM[task]) for view in seen]
+        flange = [sensor @ np.linalg.inv(view) @ np.linalg.inv(place) for view in seen]
     else:
-        place = OBJECT_MM.get(task, OBJECT_MM["pose-pairs"])
         flange = [place @ view @ np.linalg.inv(sensor) for view in seen]
     content = {
-        "truecell_dataset": 1,
-        "task": task,
-        "about": f"Simulated by make_pairs.py, seed {SEED}",
+        **head(task),
         "units": {"length": "mm", "angle": "deg"},
         "motion": {
             "kind": "poses",
@@ -115,5 +132,5 @@ def _one_line(match):
 
 
 if __name__ == "__main__":
-    for name in SENSOR_MM:
+    for name in (*SENSOR_MM, "two-robots"):
         Path(__file__).with_name(f"{name}.json").write_text(text(dataset(name)), encoding="utf-8")

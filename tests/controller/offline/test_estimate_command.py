@@ -17,14 +17,15 @@ from controller.offline import dataset_parts, estimate_page
 from controller.offline.dataset import DATASETS, read_dataset
 from controller.offline.estimate_result import estimate
 from controller.offline.refusal import BadFile
-from estimation.tasks.pairs import MovePairs, PairTask
 from estimation.tasks.registry import KINEMATIC_TASKS, TASKS
 from estimation.tasks.solve import solve
 from tests.controller.offline.answers import EXAMPLES, Run, inside
+from tests.controller.offline.written import poses, written
 from tests.estimation.tasks.cells import CELLS
 from tests.estimation.tasks.pair_cells import PAIR_CELLS
+from tests.estimation.tasks.two_robot_cells import TWO_ROBOT_CELLS
 
-ALL_CELLS = {**CELLS, **PAIR_CELLS}
+ALL_CELLS = {**CELLS, **PAIR_CELLS, **TWO_ROBOT_CELLS}
 GENERATOR = runpy.run_path(str(EXAMPLES / "make_hand_eye.py"))
 
 
@@ -154,12 +155,6 @@ def test_data_that_determine_nothing_are_refused_with_the_cause(
     }
 
 
-def _poses() -> dict[str, Any]:
-    eye = np.eye(4).tolist()
-    noise = {"position": "0.02 mm", "rotation": "0.002 deg"}
-    return {"kind": "poses", "target": "base", "source": "flange", "noise": noise, "matrices": [eye] * 40}
-
-
 def _set(*steps: Any) -> Callable[[dict[str, Any]], None]:
     def spoil(content: dict[str, Any]) -> None:
         here: Any = content
@@ -171,12 +166,12 @@ def _set(*steps: Any) -> Callable[[dict[str, Any]], None]:
 
 
 def _skewed(content: dict[str, Any]) -> None:
-    content["motion"] = _poses()
+    content["motion"] = poses()
     content["motion"]["matrices"][2] = [*(np.eye(4) + 0.01).tolist()[:3], [0, 0, 0, 1]]
 
 
 def _without_source(content: dict[str, Any]) -> None:
-    content["motion"] = _poses()
+    content["motion"] = poses()
     del content["motion"]["source"]
 
 
@@ -274,64 +269,19 @@ def test_a_bad_csv_is_refused(
 
 
 def test_every_task_has_its_form_and_schema(run: Run) -> None:
-    assert set(DATASETS) | {"two-robots"} == {*TASKS, *KINEMATIC_TASKS, "localization"}
+    assert set(DATASETS) == {*TASKS, *KINEMATIC_TASKS, "localization"}
     made = {ALL_CELLS[name](np.random.default_rng(1)).problem.task for name in ALL_CELLS}
-    assert made | {"two-robots"} == set(TASKS)
+    assert made == set(TASKS)
     for task in DATASETS:
         code, out, _ = run("--schema", task)
         assert code == ExitCode.OK
-        assert "units" in json.loads(out)["required"]
-
-
-def _written(problem: Any) -> dict[str, Any]:
-    """A problem of the estimator as a data set in metres and radians."""
-    motion = _poses() | {"matrices": problem.motion.base_T_flange.tolist()}
-    said: dict[str, Any] = {
-        "truecell_dataset": 1,
-        "task": problem.task,
-        "units": {"length": "m", "angle": "rad"},
-        "motion": motion,
-    }
-    if isinstance(problem, PairTask):
-        return said | _reported(problem)
-    arrays = {"reading_m": "readings", "profile_m": "points", "points_m": "points", "markers_m": "markers"}
-    arrays |= {"pose_index": "pose", "marker_index": "marker"}
-    for name, key in arrays.items():
-        if getattr(problem, name, None) is not None:
-            said[key] = getattr(problem, name).tolist()
-    if hasattr(problem, "covariance"):
-        said["noise"] = [f"{v} m" for v in np.sqrt(np.diag(problem.covariance))]
-    else:
-        std = problem.std_m
-        said["noise"] = [f"{v} m" for v in std] if isinstance(std, tuple) else f"{std} m"
-    if hasattr(problem, "angle_std_rad"):
-        said["angle_noise"] = f"{problem.angle_std_rad} rad"
-    for name in ("radius", "ball_radius"):
-        if getattr(problem, f"{name}_m", None) is not None:
-            said[name] = f"{getattr(problem, f'{name}_m')} m"
-    if hasattr(problem, "faces"):
-        said["faces"] = [{"name": f.name, "point": f.point_m, "normal": f.axis} for f in problem.faces]
-        said["face"] = [problem.faces[i].name for i in problem.face_index]
-    return said
-
-
-def _reported(problem: PairTask) -> dict[str, Any]:
-    """The part of the sensor in a data set of pairs."""
-    table = {
-        "target": "first" if isinstance(problem, MovePairs) else "sensor",
-        "source": "second" if isinstance(problem, MovePairs) else "object",
-        "noise": {"position": f"{problem.std_m} m", "rotation": f"{problem.std_rad} rad"},
-        "matrices": problem.given.tolist(),
-    }
-    if isinstance(problem, MovePairs):
-        return {"moves": table | {"first": problem.first.tolist(), "second": problem.second.tolist()}}
-    return {"seen": table}
+        assert "task" in json.loads(out)["required"]
 
 
 @pytest.mark.parametrize("name", ALL_CELLS)
 def test_a_problem_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
     problem = ALL_CELLS[name](np.random.default_rng(5)).problem
-    (tmp_path / "set.json").write_text(json.dumps(_written(problem)))
+    (tmp_path / "set.json").write_text(json.dumps(written(problem)))
     again = read_dataset(tmp_path / "set.json").problem()
     assert type(again) is type(problem)
     values = {block.name: block.value for block in problem.belief().blocks}
