@@ -5,7 +5,9 @@ import signal
 import sys
 from pathlib import Path
 
-from estimation.errors import CellError
+from estimation.errors import CellError, CellFileError
+
+BAD_INPUT, FAULT = 2, 7  # exit codes, as docs/console.md has them
 
 EXAMPLES = """
   truecell simulate cells/bench-block --seed 7 --motion-speed 20
@@ -27,9 +29,12 @@ def main(arguments: list[str] | None = None) -> int:
             _serve_device(options)
         else:
             _serve_cell(options)
+    except CellFileError as error:
+        print(f"simulators: {error}", file=sys.stderr)
+        return BAD_INPUT
     except (CellError, OSError) as error:
         print(f"simulators: {error}", file=sys.stderr)
-        return 1
+        return FAULT
     return 0
 
 

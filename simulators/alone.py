@@ -145,7 +145,7 @@ def read_schedule(texts: Iterable[str], file: Path | None) -> list[Fault]:
     if file is not None:
         try:
             content = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (OSError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:  # ValueError: not TOML, or not even UTF-8
             raise CellFileError(f"{file}: {error}", 'Write faults = ["late:0.3@5s", ...]') from error
         listed = content.get("faults")
         if not isinstance(listed, list) or len(content) != 1:

@@ -26,7 +26,7 @@ def read_endpoints(cell_file: Path) -> dict[str, NamedDevice]:
         content = tomllib.loads(cell_file.read_text(encoding="utf-8"))
     except OSError as error:
         raise CellFileError(f"{cell_file}: {error.strerror}", "Name a cell file, or its folder") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # not TOML, or not even UTF-8
         raise CellFileError(f"{cell_file}: {error}", "Correct the file: truecell check") from error
     return {name: _device(name, content.get(name), cell_file) for name in DEVICES}
 

@@ -284,7 +284,7 @@ def read_world_file(directory: Path) -> WorldFile:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise CellFileError(f"{path} does not exist", "Name the directory of a simulated cell") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # not TOML, or not even UTF-8
         raise CellFileError(f"{path}: {error}", "Correct the file") from error
     root = StrictTable(content, "world.toml")
     world, plate = root.table("world"), root.table("plate")

@@ -286,7 +286,7 @@ def test_it_ends_cleanly_and_a_scenario_must_exist(simulator: Simulator, tmp_pat
         "x",
     ]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert refused.returncode == 1 and "No scenario 'x'" in refused.stderr
+    assert refused.returncode == 2 and "No scenario 'x'" in refused.stderr
 
 
 # -- the dongle by itself ------------------------------------------------------------------------
