@@ -12,7 +12,8 @@ from estimation.observability import require_determined
 from estimation.surfaces.shape import Shape, Sums
 from estimation.transform import FloatArray, Transform
 
-_COARSE: Final = (400, 1_500, 12_000)  # points that prepare the next level
+_COARSE: Final = (120, 1_000, 8_000)  # points that prepare the next level
+_UNSORTED: Final = 1_000  # points up to which sorting all of them does not pay
 _COARSE_TOLERANCE: Final = 0.03  # standard deviations, of the level
 _LARGEST_ITERATIONS: Final = 60
 # A step of so many standard deviations that does not lower the cost is within the roughness that the edges
@@ -83,13 +84,19 @@ def align(
     weight = _weights(points, std_m)
     rng = np.random.default_rng(0)  # any points will do; the same ones for the same data
     pose, iterations = start.matrix, []
+    sorted_ = False
     for count in (level for level in _COARSE if 4 * level <= len(points)):
-        chosen = rng.integers(0, len(points), count)
-        few = descent(shape, points[chosen], weight[chosen], pose, huber, _COARSE_TOLERANCE)
+        if count > _UNSORTED and not sorted_:
+            points, weight, sorted_ = *_sorted(shape, points, weight, pose), True
+        step = len(points) // count
+        chosen = slice(None, step * count, step) if sorted_ else rng.integers(0, len(points), count)
+        some, own = (np.ascontiguousarray(each[chosen]) for each in (points, weight))
+        few = descent(shape, some, own, pose, huber, _COARSE_TOLERANCE)
         pose = few.pose
         iterations.append(few.passes)
-    order = shape.order(points, pose)
-    last = descent(shape, points[order], weight[order], pose, huber, tolerance)
+    if not sorted_:
+        points, weight = _sorted(shape, points, weight, pose)
+    last = descent(shape, points, weight, pose, huber, tolerance)
     _require_determined(last.sums, start)
     return Alignment(
         base_T_object=Transform(start.target, start.source, last.pose),
@@ -100,6 +107,14 @@ def align(
         converged=last.converged,
         stop_reason=last.stop_reason,
     )
+
+
+def _sorted(
+    shape: Shape, points: FloatArray, weight: FloatArray, pose: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The points and their weights with neighbours next to each other."""
+    order = shape.order(points, pose)
+    return np.take(points, order, axis=0), np.take(weight, order)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_cdt
 
 from estimation.errors import EstimationError
+from estimation.surfaces.mesh_grid import Grid, IntArray, grid_of
 from estimation.surfaces.shape import CHUNK, SUMS, Nearest, Sums, sums_of
 from estimation.transform import FloatArray
 
@@ -16,25 +16,9 @@ try:
 except ImportError:  # numba is optional: trimesh gives the same numbers, in a hundred times the time
     kernels = None  # type: ignore[assignment]
 
-IntArray = NDArray[np.int32]
-_LARGEST_CELLS: Final = 1 << 22
-_CELLS_PER_TRIANGLE: Final = 16
-_CELL_TO_SIDE: Final = 0.5  # fewer triangles to try, more cells to look into: measured, and flat around here
 _ON_SIDE: Final = 1e-9  # of the median side: rounding of a foot that lies on a side
 _FLAT: Final = 1e-12  # of the longest side: the height of a triangle that has no normal
 _NO_DIRECTION_M: Final = 1e-12  # from foot to point
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Grid:
-    """Which triangles reach into which cell; cells ordered with the last axis fastest."""
-
-    origin_m: FloatArray  # (3,)
-    size_m: float
-    counts: NDArray[np.int64]  # (3,)
-    start: IntArray  # (cells + 1,) where the members of each cell begin
-    members: IntArray  # triangles, cell by cell
-    gap: IntArray  # (cells,) cells to the nearest occupied one, in the largest of the three directions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +75,7 @@ class TriangleMesh:
         planes[:, 0, :3], planes[:, 1:, :3] = normal, inward
         planes[:, 0, 3] = np.einsum("fi,fi->f", normal, corners[:, 0])
         planes[:, 1:, 3] = np.einsum("fki,fki->fk", inward, corners)
-        normals, is_open = _normals(triangles, normal, sides, len(vertices))
+        normals, is_open, across = _normals(triangles, normal, sides, len(vertices))
         for name, value in {
             "vertices_m": vertices,
             "triangles": triangles,
@@ -99,7 +83,7 @@ class TriangleMesh:
             "planes": planes.reshape(-1, 16),
             "normals": normals,
             "open": is_open,
-            "grid": _grid(corners, normal) if kernels is not None else None,
+            "grid": grid_of(corners, planes.reshape(-1, 16), across) if kernels is not None else None,
         }.items():
             object.__setattr__(self, name, value)
 
@@ -146,13 +130,8 @@ class TriangleMesh:
 
     def order(self, base_p: FloatArray, base_T_object: FloatArray) -> NDArray[np.intp]:
         """The order (m,) of points by the cell in which they lie: neighbours are found in the cache."""
-        if self.grid is None:
-            return np.arange(len(base_p))
-        grid, rotation = self.grid, np.ascontiguousarray(base_T_object[:3, :3])
-        return np.asarray(
-            kernels.cell_order(
-                base_p, rotation, base_T_object[:3, 3].copy(), grid.origin_m, grid.size_m, grid.counts
-            )
+        return (
+            np.arange(len(base_p)) if self.grid is None else self.grid.sorted_by_cell(base_p, base_T_object)
         )
 
     def sums(
@@ -176,7 +155,8 @@ class TriangleMesh:
             origin,
             huber,
             hints,
-            *self.search_arrays(),
+            *self.grid.arrays(),
+            self.grid.order,
             self.normals,
             self.open,
             partial,
@@ -189,32 +169,16 @@ class TriangleMesh:
             return _feet_by_trimesh(self, points)
         facet = np.full(len(points), -1, dtype=np.int32)
         region, foot = np.empty(len(points), dtype=np.int8), np.empty((len(points), 3))
-        kernels.nearest(points, facet, *self.search_arrays(), foot, region)
-        return facet, region, foot
-
-    def search_arrays(
-        self,
-    ) -> tuple[FloatArray, float, NDArray[np.int64], IntArray, IntArray, IntArray, FloatArray, FloatArray]:
-        """What the compiled search takes; raises EstimationError without compiled kernels."""
-        if self.grid is None:
-            raise EstimationError("numba is not installed", "Install the extra `fast`")
-        grid = self.grid
-        return (
-            grid.origin_m,
-            grid.size_m,
-            grid.counts,
-            grid.start,
-            grid.members,
-            grid.gap,
-            self.corners_m,
-            self.planes,
-        )
+        kernels.nearest(points, facet, *self.grid.arrays(), foot, region)
+        return self.grid.order[facet], region, foot
 
 
 def _normals(
     triangles: IntArray, normal: FloatArray, sides: FloatArray, vertices: int
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Normals (f, 7, 3) of triangles, sides and corners, and which of them are on an open edge (f, 7)."""
+) -> tuple[FloatArray, NDArray[np.bool_], IntArray]:
+    """Normals (f, 7, 3) of triangles, sides and corners, which of them are on an open edge (f, 7), and the
+    triangles across the sides (f, 3).
+    """
     count = len(triangles)
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     _, side, shared = np.unique(
@@ -242,30 +206,22 @@ def _normals(
         ],
         axis=1,
     )
-    return normals, is_open
+    return normals, is_open, _across(side, len(shared)).reshape(count, 3)
+
+
+def _across(side: NDArray[np.intp], count: int) -> IntArray:
+    """(3 f,) for each side of each triangle one of the others that have it, or -1."""
+    triangle = np.arange(len(side), dtype=np.int32) // 3
+    first, last = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
+    last[side] = triangle
+    first[side[::-1]] = triangle[::-1]
+    other = np.where(first[side] == triangle, last[side], first[side])
+    return np.where(other == triangle, -1, other).astype(np.int32)
 
 
 def _summed(index: NDArray[np.intp] | IntArray, vectors: FloatArray, count: int) -> FloatArray:
     """Sums (count, 3) of the vectors of each index."""
     return np.column_stack([np.bincount(index, vectors[:, k], count) for k in range(3)])
-
-
-def _grid(corners: FloatArray, normal: FloatArray) -> Grid:
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    extent = high - low
-    side_m = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
-    limit = min(_LARGEST_CELLS, _CELLS_PER_TRIANGLE * len(corners) + 64)
-    size_m = max(_CELL_TO_SIDE * side_m, float(extent.max()) / 1024)
-    while np.prod(np.floor(extent / size_m) + 1.0) > limit:
-        size_m *= 1.1
-    counts = (np.floor(extent / size_m) + 1.0).astype(np.int64)
-    start = np.zeros(int(counts.prod()) + 1, dtype=np.int32)
-    kernels.fill_cells(corners, normal, low, size_m, counts, start, np.empty(0, np.int32))
-    gap = distance_transform_cdt((start[:-1] == 0).reshape(counts), metric="chessboard")
-    start = np.cumsum(start, dtype=np.int32)
-    members = np.empty(int(start[-1]), dtype=np.int32)
-    kernels.fill_cells(corners, normal, low, size_m, counts, start, members)
-    return Grid(low, size_m, counts, start, members, gap.astype(np.int32).reshape(-1))
 
 
 def _feet_by_trimesh(mesh: TriangleMesh, points: FloatArray) -> tuple[IntArray, NDArray[np.int8], FloatArray]:

@@ -1,8 +1,9 @@
 """Compiled search for the nearest triangle of a mesh, exact at any distance, and sums over all points.
 
-Triangles are listed in the cells of a regular grid. The first occupied shell of cells around a point gives an
-upper bound; the cells that a ball of that radius meets hold the nearest triangle. Points that come sorted by
-cell find the data of their neighbours still in the cache.
+Triangles are listed in the cells of a regular grid. A walk from a triangle nearby, across sides, gives an
+upper bound; the cells that a ball of that radius meets hold the nearest triangle. Most points near a surface
+need no look into cells: see `grid_kernels.clearance`. Points that come sorted by cell find the data of their
+neighbours still in the cache.
 """
 
 import math
@@ -12,61 +13,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.surfaces.grid_kernels import IntArray, cell_of
 from estimation.surfaces.shape import CHUNK, SUMS
 from estimation.surfaces.sums_kernels import add_point
 from estimation.transform import FloatArray
 
-IntArray = NDArray[np.int32]
 INSIDE: Final = 0  # regions of a foot: 0 inside, 1-3 on the side from corner k - 1, 4-6 at corner k - 4
-
-
-@numba.njit(cache=True, inline="always")
-def _cell(value: float, origin: float, per_m: float, count: int) -> int:
-    return min(max(math.floor((value - origin) * per_m), 0), count - 1)
-
-
-@numba.njit(cache=True)
-def fill_cells(
-    corners: FloatArray,
-    normal: FloatArray,
-    origin: FloatArray,
-    size_m: float,
-    counts: NDArray[np.int64],
-    start: IntArray,
-    members: IntArray,
-) -> None:
-    """Counts the triangles of each cell into `start` (when `members` is empty), or lists them.
-
-    For the list, `start` holds where each cell ends when it is called, and where it begins afterwards.
-    """
-    per_m, half = 1.0 / size_m, 0.5 * size_m
-    for f in range(len(corners)):
-        low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-        for k in range(3):
-            a, b, c = corners[f, 0, k], corners[f, 1, k], corners[f, 2, k]
-            low[k] = _cell(min(a, b, c), origin[k], per_m, counts[k])
-            high[k] = _cell(max(a, b, c), origin[k], per_m, counts[k])
-        reach = half * (abs(normal[f, 0]) + abs(normal[f, 1]) + abs(normal[f, 2])) * (1.0 + 1e-6)
-        height = (
-            normal[f, 0] * corners[f, 0, 0]
-            + normal[f, 1] * corners[f, 0, 1]
-            + normal[f, 2] * corners[f, 0, 2]
-        )
-        for i in range(low[0], high[0] + 1):
-            for j in range(low[1], high[1] + 1):
-                for k in range(low[2], high[2] + 1):
-                    middle = (
-                        normal[f, 0] * (origin[0] + i * size_m + half)
-                        + normal[f, 1] * (origin[1] + j * size_m + half)
-                        + normal[f, 2] * (origin[2] + k * size_m + half)
-                    )
-                    if abs(middle - height) <= reach:
-                        cell = (i * counts[1] + j) * counts[2] + k
-                        if len(members) == 0:
-                            start[cell] += 1
-                        else:
-                            start[cell] -= 1
-                            members[start[cell]] = f
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -115,6 +67,52 @@ def _try(
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _walk(
+    x: float, y: float, z: float, f: int, across: IntArray, corners: FloatArray, planes: FloatArray
+) -> tuple[float, int, int, float, float, float]:
+    """Squared distance, triangle, region and foot where no triangle across a side is nearer; from f."""
+    best, region, fx, fy, fz = _try(x, y, z, f, np.inf, corners, planes)
+    while region != INSIDE:
+        # Across the side of the foot; from a corner, across the side behind which the point is further away.
+        k = region - 1 if region < 4 else region - 4
+        if region >= 4:
+            before = k + 2 if k < 1 else k - 1
+            a = planes[f, 4 * k + 4] * x + planes[f, 4 * k + 5] * y + planes[f, 4 * k + 6] * z
+            b = planes[f, 4 * before + 4] * x + planes[f, 4 * before + 5] * y + planes[f, 4 * before + 6] * z
+            if b - planes[f, 4 * before + 7] < a - planes[f, 4 * k + 7]:
+                k = before
+        g = across[f, k]
+        if g < 0:
+            break
+        d, where, gx, gy, gz = _try(x, y, z, g, best, corners, planes)
+        if where < 0:
+            break
+        best, f, region, fx, fy, fz = d, g, where, gx, gy, gz
+    return best, f, region, fx, fy, fz
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _below(x: float, y: float, z: float, f: int, best: float, planes: FloatArray) -> bool:
+    """Whether triangle f can be nearer than `best`, squared: judged by its plane and its sides' planes."""
+    height = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2] * z - planes[f, 3]
+    s0 = planes[f, 4] * x + planes[f, 5] * y + planes[f, 6] * z - planes[f, 7]
+    s1 = planes[f, 8] * x + planes[f, 9] * y + planes[f, 10] * z - planes[f, 11]
+    s2 = planes[f, 12] * x + planes[f, 13] * y + planes[f, 14] * z - planes[f, 15]
+    aside = min(s0, s1, s2, 0.0)
+    return bool(height * height + aside * aside < best)
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _inside(x: float, y: float, z: float, f: int, clear: FloatArray, planes: FloatArray) -> float:
+    """Height over triangle f if the ball down to it stays in the clear prism over f, else infinite."""
+    height = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2] * z - planes[f, 3]
+    s0 = planes[f, 4] * x + planes[f, 5] * y + planes[f, 6] * z - planes[f, 7]
+    s1 = planes[f, 8] * x + planes[f, 9] * y + planes[f, 10] * z - planes[f, 11]
+    s2 = planes[f, 12] * x + planes[f, 13] * y + planes[f, 14] * z - planes[f, 15]
+    return height if abs(height) < min(s0, s1, s2, clear[f]) else np.inf
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _search(
     x: float,
     y: float,
@@ -125,40 +123,38 @@ def _search(
     counts: NDArray[np.int64],
     start: IntArray,
     members: IntArray,
-    gap: IntArray,
+    seed: IntArray,
+    gap: NDArray[np.int8],
+    across: IntArray,
+    clear: FloatArray,
     corners: FloatArray,
     planes: FloatArray,
 ) -> tuple[int, int, float, float, float]:
     """Nearest triangle, region and foot; `hint` is a triangle that may be near, or -1."""
     per_m = 1.0 / size_m
     ny, nz = counts[1], counts[2]
-    ci = _cell(x, origin[0], per_m, counts[0])
-    cj = _cell(y, origin[1], per_m, ny)
-    ck = _cell(z, origin[2], per_m, nz)
-    best, facet, region = np.inf, -1, -1
-    fx, fy, fz = 0.0, 0.0, 0.0
-    shell = -1
-    if hint >= 0:
-        best, region, fx, fy, fz = _try(x, y, z, hint, np.inf, corners, planes)
-        facet = hint
-    else:
-        shell = gap[(ci * ny + cj) * nz + ck]
-        for i in range(max(ci - shell, 0), min(ci + shell, counts[0] - 1) + 1):
-            for j in range(max(cj - shell, 0), min(cj + shell, ny - 1) + 1):
-                on_side = abs(i - ci) == shell or abs(j - cj) == shell
-                step = 1 if on_side or shell == 0 else 2 * shell
-                for k in range(ck - shell, ck + shell + 1, step):
-                    if 0 <= k < nz:
-                        cell = (i * ny + j) * nz + k
-                        for m in range(start[cell], start[cell + 1]):
-                            f = members[m]
-                            d, where, gx, gy, gz = _try(x, y, z, f, best, corners, planes)
-                            if where >= 0:
-                                best, facet, region, fx, fy, fz = d, f, where, gx, gy, gz
+    if hint < 0:
+        ci, cj = cell_of(x, origin[0], per_m, counts[0]), cell_of(y, origin[1], per_m, ny)
+        hint = seed[(ci * ny + cj) * nz + cell_of(z, origin[2], per_m, nz)]
+    height = _inside(x, y, z, hint, clear, planes)
+    if height < np.inf:
+        return (
+            hint,
+            INSIDE,
+            x - height * planes[hint, 0],
+            y - height * planes[hint, 1],
+            z - height * planes[hint, 2],
+        )
+    best, facet, region, fx, fy, fz = _walk(x, y, z, hint, across, corners, planes)
+    if facet != hint and _inside(x, y, z, facet, clear, planes) < np.inf:
+        return facet, region, fx, fy, fz
     radius = math.sqrt(best)
-    i0, i1 = _cell(x - radius, origin[0], per_m, counts[0]), _cell(x + radius, origin[0], per_m, counts[0])
-    j0, j1 = _cell(y - radius, origin[1], per_m, ny), _cell(y + radius, origin[1], per_m, ny)
-    k0, k1 = _cell(z - radius, origin[2], per_m, nz), _cell(z + radius, origin[2], per_m, nz)
+    i0, i1 = (
+        cell_of(x - radius, origin[0], per_m, counts[0]),
+        cell_of(x + radius, origin[0], per_m, counts[0]),
+    )
+    j0, j1 = cell_of(y - radius, origin[1], per_m, ny), cell_of(y + radius, origin[1], per_m, ny)
+    k0, k1 = cell_of(z - radius, origin[2], per_m, nz), cell_of(z + radius, origin[2], per_m, nz)
     for i in range(i0, i1 + 1):
         low = origin[0] + i * size_m
         dx = max(low - x, x - low - size_m, 0.0)
@@ -167,16 +163,21 @@ def _search(
             dy = max(low - y, y - low - size_m, 0.0)
             if dx * dx + dy * dy > best * (1.0 + 1e-9):
                 continue
-            for k in range(k0, k1 + 1):
-                if shell >= 0 and max(abs(i - ci), abs(j - cj), abs(k - ck)) <= shell:
+            k = k0 - 1
+            while k < k1:
+                k += 1
+                cell = (i * ny + j) * nz + k
+                if gap[cell] > 0:  # the next cells are as empty
+                    k += gap[cell] - 1
                     continue
                 low = origin[2] + k * size_m
                 dz = max(low - z, z - low - size_m, 0.0)
                 if dx * dx + dy * dy + dz * dz > best * (1.0 + 1e-9):
                     continue
-                cell = (i * ny + j) * nz + k
                 for m in range(start[cell], start[cell + 1]):
                     f = members[m]
+                    if not _below(x, y, z, f, best, planes):
+                        continue
                     d, where, gx, gy, gz = _try(x, y, z, f, best, corners, planes)
                     if where >= 0:
                         best, facet, region, fx, fy, fz = d, f, where, gx, gy, gz
@@ -192,7 +193,10 @@ def nearest(
     counts: NDArray[np.int64],
     start: IntArray,
     members: IntArray,
-    gap: IntArray,
+    seed: IntArray,
+    gap: NDArray[np.int8],
+    across: IntArray,
+    clear: FloatArray,
     corners: FloatArray,
     planes: FloatArray,
     foot: FloatArray,
@@ -211,7 +215,10 @@ def nearest(
                 counts,
                 start,
                 members,
+                seed,
                 gap,
+                across,
+                clear,
                 corners,
                 planes,
             )
@@ -221,13 +228,25 @@ def nearest(
 
 @numba.njit(cache=True, inline="always", error_model="numpy")
 def _oriented(
-    dx: float, dy: float, dz: float, f: int, where: int, normals: FloatArray, open_: NDArray[np.bool_]
+    dx: float,
+    dy: float,
+    dz: float,
+    f: int,
+    where: int,
+    planes: FloatArray,
+    order: IntArray,
+    normals: FloatArray,
+    open_: NDArray[np.bool_],
 ) -> tuple[float, float, float, float]:
     """Signed distance and gradient from foot to point; on an open edge the height over the triangle."""
+    if where == INSIDE:  # nearly always, and then the plane is still in the cache
+        nx, ny, nz = planes[f, 0], planes[f, 1], planes[f, 2]
+        return dx * nx + dy * ny + dz * nz, nx, ny, nz
+    f = order[f]
     nx, ny, nz = normals[f, where, 0], normals[f, where, 1], normals[f, where, 2]
     side = dx * nx + dy * ny + dz * nz
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if where == 0 or open_[f, where] or length < 1e-12:
+    if open_[f, where] or length < 1e-12:
         return side, nx, ny, nz
     signed = length if side >= 0.0 else -length
     return signed, dx / signed, dy / signed, dz / signed
@@ -246,9 +265,13 @@ def normal_equations(
     counts: NDArray[np.int64],
     start: IntArray,
     members: IntArray,
-    gap: IntArray,
+    seed: IntArray,
+    gap: NDArray[np.int8],
+    across: IntArray,
+    clear: FloatArray,
     corners: FloatArray,
     planes: FloatArray,
+    order: IntArray,
     normals: FloatArray,
     open_: NDArray[np.bool_],
     sums: FloatArray,
@@ -269,40 +292,23 @@ def normal_equations(
             y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
             z = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
             f, where, fx, fy, fz = _search(
-                x, y, z, hint[i], origin, size_m, counts, start, members, gap, corners, planes
+                x,
+                y,
+                z,
+                hint[i],
+                origin,
+                size_m,
+                counts,
+                start,
+                members,
+                seed,
+                gap,
+                across,
+                clear,
+                corners,
+                planes,
             )
             hint[i] = f
-            distance, gx, gy, gz = _oriented(x - fx, y - fy, z - fz, f, where, normals, open_)
+            distance, gx, gy, gz = _oriented(x - fx, y - fy, z - fz, f, where, planes, order, normals, open_)
             add_point(own, row, weight[i], huber, distance, x, y, z, gx, gy, gz)
         sums[chunk] = own
-
-
-@numba.njit(cache=True, error_model="numpy")
-def cell_order(
-    base_p: FloatArray,
-    rotation: FloatArray,
-    shift: FloatArray,
-    origin: FloatArray,
-    size_m: float,
-    counts: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Order (m,) of points by the cell in which they lie, by counting; `counts` as for the grid."""
-    per_m = 1.0 / size_m
-    keys = np.empty(len(base_p), np.int32)
-    ends = np.zeros(counts[0] * counts[1] * counts[2] + 1, np.int64)
-    for i in range(len(base_p)):
-        a, b, c = base_p[i, 0] - shift[0], base_p[i, 1] - shift[1], base_p[i, 2] - shift[2]
-        x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
-        y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
-        z = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
-        cell = _cell(x, origin[0], per_m, counts[0])
-        cell = cell * counts[1] + _cell(y, origin[1], per_m, counts[1])
-        keys[i] = cell * counts[2] + _cell(z, origin[2], per_m, counts[2])
-        ends[keys[i] + 1] += 1
-    for cell in range(len(ends) - 1):
-        ends[cell + 1] += ends[cell]
-    order = np.empty(len(base_p), np.int64)
-    for i in range(len(base_p)):
-        order[ends[keys[i]]] = i
-        ends[keys[i]] += 1
-    return order

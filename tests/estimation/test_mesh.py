@@ -41,6 +41,24 @@ def test_the_nearest_triangle_is_found_at_any_distance(away_m: float) -> None:
     assert np.abs(found.distance_m)[~found.beyond] == pytest.approx(apart[~found.beyond])
 
 
+@pytest.mark.parametrize(
+    "solid",
+    [
+        trimesh.creation.box((0.05, 0.08, 0.12)).subdivide(),
+        trimesh.creation.cone(radius=0.01, height=0.1, sections=5),
+        trimesh.creation.torus(0.05, 0.01, major_sections=40, minor_sections=9),
+        trimesh.creation.annulus(0.02, 0.0203, 0.05, sections=24),  # a wall of 0.3 mm
+    ],
+    ids=["box", "spike", "torus", "thin wall"],
+)
+def test_near_folds_and_through_thin_walls_too(solid: trimesh.Trimesh) -> None:
+    mesh, rng = TriangleMesh(solid.vertices, solid.faces), np.random.default_rng(8)
+    away = np.repeat([1e-6, 1e-4, 2e-3], 60)[:, None] * rng.normal(size=(180, 3))
+    points = points_on(mesh, 180, rng) + away
+    apart = np.linalg.norm(points - mesh.nearest(points).foot_m, axis=1)
+    assert apart == pytest.approx(by_brute_force(mesh, points), abs=1e-12)
+
+
 @needs_numba
 def test_without_numba_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(2)
