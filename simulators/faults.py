@@ -82,6 +82,7 @@ class WireFaults:
         self._faults = list[Fault]()
         self._held: tuple[bytes, int] | None = None  # changes places with the next message
         self.played = 0  # how often a fault has struck
+        self.struck_s = -math.inf  # when one did last
 
     def __bool__(self) -> bool:
         return bool(self._faults) or self._held is not None
@@ -113,6 +114,7 @@ class WireFaults:
                 if fault.once:
                     self._faults.remove(fault)
                 self.played += 1
+                self.struck_s = time_s
                 return fault
         return None
 

@@ -19,6 +19,7 @@ HEARTBEAT_MS: Final = 100
 PDO_OFF: Final = 1 << 31
 LONGEST_DRAIN_S: Final = 0.5
 BOOT_UP: Final = 0
+LENGTHS: Final = {HEARTBEAT: 1, EMERGENCY: 8, 0x580: 8}  # of frames that have only one
 
 
 class CanopenNode:
@@ -43,7 +44,7 @@ class CanopenNode:
         self._link, self._clock, self.node_id, self.name = link, clock, node_id, name
         self._on_pdo, self._on_answer = on_pdo, on_answer
         self.sdo = SdoPort(link, (node_id,), self.pump, sdo_timeout_s)
-        self.frames = self.timeouts = self.opened = 0
+        self.frames = self.bad_frames = self.timeouts = self.opened = 0
         self._state, self._running = -1, False
         self._fault: DeviceError | None = None
 
@@ -147,13 +148,15 @@ class CanopenNode:
 
     def _take(self, frame: CanFrame) -> None:
         function = frame.can_id & 0x780
-        if function == 0x580:
+        if len(frame.data) != LENGTHS.get(function, len(frame.data)):
+            self.bad_frames += 1
+        elif function == 0x580:
             self.sdo.deliver(frame.can_id, frame.data, frame.time_s)
             if self._on_answer is not None:
                 self._on_answer(frame)
-        elif function == HEARTBEAT and len(frame.data) == 1:
+        elif function == HEARTBEAT:
             self._heard(frame.data[0] & 0x7F)
-        elif function == EMERGENCY and len(frame.data) == 8:
+        elif function == EMERGENCY:
             code = int.from_bytes(frame.data[:2], "little")
             if code:
                 self._latch(f"reports the error {code:04X}h", "Look at the device, then reset")

@@ -125,7 +125,11 @@ class ModbusTcp(ModbusClient):
         used, unit, transaction, pdu = self._framer.decode(head)
         if not used:
             return None
-        self._received = head[used:]
+        self._received = rest = head[used:]
+        if len(rest) < HEADER_BYTES and rest:  # one request, one reply: no other frame can have begun
+            self.bad_frames += 1
+            self._received = b""
+            raise FrameError(f"{self._name} sent {rest.hex(' ')} after its reply", "Check host and port")
         return transaction, unit, pdu
 
     def _matching(

@@ -36,6 +36,7 @@ class WagoConfig:
     latency_s: float = 0.003  # from the contact until the coupler knows: filter and scan of the input
     longest_gap_s: float = 0.1  # a touch so long after the input was last seen open is refused
     closed_when_on: bool = True
+    stale_s: float = 0.0  # a frame may be so late, and later than an answer: only behind a gateway
     sdo_timeout_s: float = 0.3
 
 
@@ -94,12 +95,14 @@ class WagoProbe:
     def health(self) -> LinkHealth:
         """Counters of this node."""
         node = self._node
-        return LinkHealth(node.frames, 0, node.timeouts, max(0, node.opened - 1))
+        return LinkHealth(node.frames, node.bad_frames, node.timeouts, max(0, node.opened - 1))
 
     def arm(self) -> None:
         """Forget what came before. Raises DeviceError if the probe is tripped already."""
         self._require_connection()
         self._armed, self._gap_s = False, 0.0
+        if self._config.stale_s:
+            self._node.pump(self._config.stale_s)  # a frame of an earlier contact comes within
         tripped, asked_s = self._read()
         if tripped:  # frames sent before the answer have come before it
             raise DeviceError(
@@ -115,8 +118,7 @@ class WagoProbe:
             raise DeviceError("The probe is not armed", "Arm it before the approach")
         if self._touched_s is None:
             if self._asked_s is None:
-                self._asked_s = self._clock.now_s()
-                self._node.ask(INPUTS, self._block)
+                self._ask()
             heard_s = self._heard_s
             self._node.pump(
                 self._config.event_timer_s, lambda: self._heard_s != heard_s or self._touched_s is not None
@@ -152,11 +154,19 @@ class WagoProbe:
     def _inputs(self, frame: CanFrame) -> None:
         """A frame of the coupler; of others than its first transmit PDO nothing is known."""
         byte = self._config.channel // 8
-        if frame.can_id & 0x780 != 0x180 or len(frame.data) <= byte:
+        if frame.can_id & 0x780 != 0x180:
+            return
+        if len(frame.data) <= byte:
+            self._node.bad_frames += 1
             return
         self._heard_s = frame.time_s
         if self._closed(frame.data[byte]):
             self._touch(frame.time_s)
+
+    def _ask(self) -> None:
+        """For the input; the answer comes to `_answer`."""
+        self._asked_s = self._clock.now_s()
+        self._node.ask(INPUTS, self._block)
 
     def _answer(self, frame: CanFrame) -> None:
         """An answer to `ask`; while none is expected, it is one to a read that waits for it."""

@@ -28,6 +28,7 @@ DOUBLE_WINDOW: Final = 50
 LOST_ANSWERS: Final = 25  # so many times the wait for an answer, and there is none
 KEEPER_SLICE_S: Final = 0.005
 DRAIN_LIMIT_S: Final = 0.5
+SDO_BYTES: Final = 8
 
 _unpack_tpdo1 = codec.TPDO1.unpack  # 300 frames/s go through here
 
@@ -311,6 +312,7 @@ class CanopenMaster:
             elif (joint := self._emcy.get(can_id)) is not None:
                 self._take_emergency(joint, data)
             elif 0x580 < can_id < 0x600:
+                self.bad_frames += len(data) != SDO_BYTES
                 self.sdo.deliver(can_id, data, time_s)
 
     def _take_answer(self, joint: int, data: bytes) -> None:

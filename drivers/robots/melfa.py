@@ -77,6 +77,9 @@ class MelfaLine:
 
     def ask(self, command: str, *, repeat: bool = True) -> codec.Answer:
         """The answer to a command. Raises MelfaRefusal, DeviceTimeout, FrameError."""
+        self._listen()
+        if command == "STOP" and self._out_of_step:
+            self._link.write(self._encoded(command))  # at once; that it was heard is proven below
         for _ in range(self._config.tries - 1 if repeat else 0):
             with contextlib.suppress(DeviceTimeout, FrameError):
                 return self._attempt(command)
@@ -94,10 +97,7 @@ class MelfaLine:
         config, now_s = self._config, self._clock.now_s
         if self.running and not command.startswith("STOP"):
             self._clock.sleep(self._next_s - now_s())
-        line = codec.encode(
-            command, robot=config.robot, slot=config.slot, terminator=self._terminator or b"\r"
-        )
-        self._link.write(line)
+        self._link.write(self._encoded(command))
         deadline_s = now_s() + config.reply_timeout_s
         while (answer := self._lines.next_line()) is None:
             remaining_s = deadline_s - now_s()
@@ -115,9 +115,27 @@ class MelfaLine:
                     f"MELFA did not answer {command} within {config.reply_timeout_s:g} s",
                     "Check cable, power and the line settings",
                 )
+        if rest := self._lines.rest:
+            self._lines.bad_frames += 1
+            raise FrameError(
+                f"MELFA sent {rest[:40]!r} after its answer to {command}",
+                "Check that only this controller asks",
+            )
         self.frames += 1
         self._next_s = now_s() + config.running_pause_s
         return codec.parse_answer(answer, command)
+
+    def _encoded(self, command: str) -> bytes:
+        config = self._config
+        return codec.encode(
+            command, robot=config.robot, slot=config.slot, terminator=self._terminator or b"\r"
+        )
+
+    def _listen(self) -> None:
+        """What comes when nothing was asked would be taken for the next answer."""
+        if self._link.read(0.0).strip(b"\r\n"):
+            self._lines.bad_frames += 1
+            self._out_of_step = True
 
     def _resynchronise(self) -> None:
         """After a timeout: silence for as long as an answer may take, then prove that answers fit again."""

@@ -111,6 +111,11 @@ class AnswerLines:
     def clear(self) -> None:
         self._buffer.clear()
 
+    @property
+    def rest(self) -> bytes:
+        """What has come behind the last answer."""
+        return bytes(self._buffer).strip(b"\r\n")
+
     def feed(self, data: bytes) -> None:
         self._buffer += data
         if len(self._buffer) > MOST_ANSWER_BYTES:

@@ -83,7 +83,7 @@ class Ams335i(PolledRange):
     def health(self) -> LinkHealth:
         """Counters of this node."""
         node = self._node
-        return LinkHealth(node.frames, 0, node.timeouts, max(0, node.opened - 1))
+        return LinkHealth(node.frames, node.bad_frames, node.timeouts, max(0, node.opened - 1))
 
     def _ask(self) -> Answer:
         node, config = self._node, self._config
@@ -111,8 +111,12 @@ class Ams335i(PolledRange):
 
     def _heard(self, frame: CanFrame) -> None:
         """Only the PDO that has the status beside the position counts."""
-        if frame.can_id & 0x780 == 0x280 and len(frame.data) == _PDO.size:
+        if frame.can_id & 0x780 != 0x280:
+            return
+        if len(frame.data) == _PDO.size:
             self._answers.append(frame)
+        else:
+            self._node.bad_frames += 1
 
     def _identity(self) -> Identity:
         node, config = self._node, self._config

@@ -32,7 +32,7 @@ class Ft300Config:
     serial_number: str = ""  # compared if given
     worst_answer_s: float = 0.1
     silence_s: float = SILENCE_S
-    stale_s: float = 0.02  # values may lie so long in sensor and converter: dropped at the start of a window
+    stale_s: float = 0.02  # values may lie so long in sensor and converter
 
 
 class Ft300:
@@ -52,7 +52,7 @@ class Ft300:
         self._decoder = codec.StreamDecoder()
         self._opened = self._frames = self._timeouts = 0
         self._connected = False
-        self._heard_s = 0.0  # the last valid frame, while polling
+        self._heard_s = self._polled_s = 0.0  # the last valid frame, while polling
 
     def connect(self) -> Identity:
         """End a stream left over, compare the identity, start the stream.
@@ -91,27 +91,26 @@ class Ft300:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The force sensor is not connected", "Connect it first")
+        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
         self._link.discard_input()
         self._decoder.reset()
         self._heard_s = self._clock.now_s()
 
     def end_window(self, minimum: int) -> ForceReadings:
         """All cycles measured since `begin_window`, at least `minimum`. Raises DeviceTimeout, FrameError."""
-        stale = math.ceil(self._config.stale_s / PERIOD_S)
         bad_before = self._decoder.bad_bytes
         window = collect(
             self._link,
             self._clock,
             self._decoder.feed,
-            minimum=minimum + stale,
+            minimum=minimum,
             period_s=PERIOD_S,
             silence_s=self._config.silence_s,
         )
         self._frames += len(window.values)
-        if len(window.values) < max(minimum + stale, 1):
+        if len(window.values) < max(minimum, 1):
             raise self._silent(self._decoder.bad_bytes - bad_before)
         self._heard_s = float(window.time_s[-1])
-        window = window.after(self._config.stale_s, PERIOD_S)
         return ForceReadings(window.time_s, window.values[:, :3], window.values[:, 3:])
 
     def poll(self) -> tuple[FloatArray, float] | None:
@@ -119,8 +118,11 @@ class Ft300:
 
         Raises DeviceTimeout, FrameError once there was no valid frame for too long.
         """
+        asked_s = self._clock.now_s()
+        if asked_s - self._polled_s > 2.0 * PERIOD_S:
+            self._heard_s = asked_s  # nobody listened
         wrenches = self._decoder.feed(self._link.read(PERIOD_S))
-        now = self._clock.now_s()
+        self._polled_s = now = self._clock.now_s()
         if len(wrenches):
             self._heard_s = now
             self._frames += len(wrenches)

@@ -32,7 +32,7 @@ class LaserConfig:
     serial_number: str = ""
     noise_m: float = 0.0  # of one value; 0 switches the search for a frozen value off
     working_range_m: tuple[float, float] | None = None  # distances outside are rejected
-    stale_s: float = 0.0  # values may lie so long in the converter: dropped at the start of a window
+    stale_s: float = 0.0  # values may lie so long in the converter
     silence_s: float = 0.25  # without a value, after which the line counts as dead
     prompt_timeout_s: float = 0.5
     drain_silence_s: float = 0.002
@@ -103,6 +103,7 @@ class OptoncdtLaser:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The laser is not connected", "Connect it first")
+        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
         self._link.discard_input()
         self._decoder.reset()
 
@@ -112,21 +113,19 @@ class OptoncdtLaser:
         Raises DeviceTimeout (silence), FrameError (unreadable), DeviceError (frozen).
         """
         config, period_s = self._config, 1.0 / self._config.rate_hz
-        stale = math.ceil(config.stale_s * config.rate_hz)
         bad_before = self._decoder.bad_bytes
         window = collect(
             self._link,
             self._clock,
             self._decoder.feed,
-            minimum=minimum + stale,
+            minimum=minimum,
             period_s=period_s,
             silence_s=config.silence_s,
         )
         got = len(window.values)
         self._frames += got
-        if got < max(minimum + stale, 1):
+        if got < max(minimum, 1):
             raise self._silent(window.bytes_seen, self._decoder.bad_bytes - bad_before)
-        window = window.after(config.stale_s, period_s)
         return self._readings(window.values, window.time_s)
 
     # --- values --------------------------------------------------------------------------------------

@@ -83,6 +83,7 @@ class RiftekLaser:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The laser is not connected", "Connect it first")
+        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
         self._link.discard_input()
         self._decoder.reset()
 
@@ -92,20 +93,18 @@ class RiftekLaser:
         Raises DeviceTimeout (silence), FrameError (unreadable), DeviceError (frozen).
         """
         config, period_s = self._config, self._config.period_us * 1e-6
-        wanted = minimum + math.ceil(config.stale_s / period_s)
         bad_before = self._decoder.bad_bytes
         window = collect(
             self._link,
             self._clock,
             self._decoder.feed,
-            minimum=wanted,
+            minimum=minimum,
             period_s=period_s,
             silence_s=config.silence_s,
         )
         self._frames += len(window.values)
-        if len(window.values) < max(wanted, 1):
+        if len(window.values) < max(minimum, 1):
             raise self._silent(self._decoder.bad_bytes - bad_before)
-        window = window.after(config.stale_s, period_s)
         return readings(config, window.values, window.time_s)
 
     def _silent(self, bad_bytes: int) -> DeviceError:

@@ -32,7 +32,7 @@ class RiftekConfig:
     first_register: int = 1  # address on the wire of the manual's register 1, which the manual does not say
     worst_answer_s: float = 0.1  # nor how long an answer may take
     silence_s: float = 0.25  # of a stream, after which the line counts as dead
-    stale_s: float = 0.02  # results may lie so long in the converter: dropped at the start of a window
+    stale_s: float = 0.02  # results may lie so long in the converter
     echo: bool = False  # two-wire RS-485: what is sent comes back
 
     @property

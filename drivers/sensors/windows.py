@@ -1,6 +1,5 @@
 """Windows on a sensor that sends all the time: what arrived in them, when, and whether it is alive."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -27,11 +26,6 @@ class Window:
     values: Values
     time_s: FloatArray
     bytes_seen: int
-
-    def after(self, stale_s: float, period_s: float) -> "Window":
-        """Without the first values: those may have waited so long in a converter."""
-        first = math.ceil(stale_s / period_s)
-        return Window(self.values[first:], self.time_s[first:], self.bytes_seen)
 
 
 def collect(

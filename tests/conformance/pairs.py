@@ -46,6 +46,8 @@ class Pair:
         default_factory=dict
     )  # faults that nothing in the protocol reveals; why
     delay_s: float = 5.0  # longest time in which work ends, whatever the wire does
+    latest_s: float = 0.2  # after which the device answers late, as the driver is told
+    budget_s: float = 0.25  # from a fault until it is noticed: STANDARDS B3, or as the driver declares
 
 
 def fresh(values: FloatArray, device: Simulated, since_s: float, clock: Clock, tolerance: float) -> None:
@@ -116,45 +118,100 @@ KEYENCE = DlRs1aConfig("IL", zero_m=0.1, towards=True)
 GAUGE = DlRs1aConfig("GT2", response_s=0.003, baud=38400)
 ROBOTIQ = Ft300Config(serial_number="FTD-0417", stale_s=STALE_S)
 LMI = GocatorConfig(0.3, 200.0, job="block")
-WAGO = WagoConfig(20, model="750-337")
+WAGO = WagoConfig(20, model="750-337", stale_s=0.1)
 PERIOD_S = 0.5  # of contacts
-FRAMED = {"corrupt": "the protocol has no check; TCP and CAN below it have one, which does not pass this on"}
+FRAMED = {"corrupt": "the protocol has no check; TCP below it has one, which does not pass this on"}
+BUS = dict.fromkeys(
+    ("corrupt", "double-byte"), "the protocol has no check; CAN below it has one, which does not pass this on"
+)
 NO_CHECK = {"corrupt": "the protocol has no check: a flipped bit can leave another value"}
 SWAPPED = NO_CHECK | {"reorder": "the protocol has no check: swapped digits are another number"}
-LOST_DIGIT = "numbers have no fixed width: one that lost a digit is another number"
-NO_WIDTH = SWAPPED | dict.fromkeys(("drop", "truncate", "lose-byte"), LOST_DIGIT)  # bytes come one by one
-TEXT = FRAMED | {"lose-byte": LOST_DIGIT}  # a message comes whole
+NO_DIGITS = dict.fromkeys(
+    ("lose-byte", "double-byte"), "numbers have no fixed width: one with a digit less or more is another"
+)
+# On a line the bytes come one by one, on TCP a message comes whole.
+NO_WIDTH = SWAPPED | NO_DIGITS | dict.fromkeys(("drop", "truncate"), NO_DIGITS["lose-byte"])
+TEXT = FRAMED | NO_DIGITS
 RIFTEKS: tuple[tuple[str, Any, Mapping[str, str]], ...] = (
     ("binary", RiftekLaser, NO_CHECK),
     ("ascii", RiftekAsciiLaser, NO_WIDTH),
     ("modbus", RiftekModbusLaser, {}),
 )
 motion = partial(move_and_read, 1e-3)
+SLACK_S = 0.02  # of a budget: until the driver looks again
+MOVE_REPLY_S = 6.5  # the server answers a move when it has ended: a lost answer is waited for so long
 
 PAIRS = [
-    Pair("canopen-402", partial(arm, {}), motion, delay_s=30.0, unseen=FRAMED),
-    Pair("abb-open", partial(arm, ABB | {"serial_number": "14-21858"}), motion, delay_s=60.0, unseen=TEXT),
+    Pair("canopen-402", partial(arm, {}), motion, delay_s=30.0, unseen=BUS, latest_s=0.02),
+    Pair(
+        "abb-open",
+        partial(arm, ABB | {"serial_number": "14-21858"}),
+        motion,
+        delay_s=60.0,
+        unseen=TEXT,
+        latest_s=0.5,
+        budget_s=MOVE_REPLY_S,
+    ),
     Pair("igus-irc", partial(arm, IGUS), motion, delay_s=30.0, unseen=FRAMED),
-    Pair("melfa-serial", partial(arm, MELFA_SERIAL), motion, delay_s=30.0, unseen=NO_WIDTH),
-    Pair("melfa-tcp", partial(arm, MELFA_TCP), motion, delay_s=30.0, unseen=TEXT),
-    Pair("ur", partial(arm, UR), motion, delay_s=30.0, unseen=FRAMED),
+    *(
+        Pair(
+            name,
+            partial(arm, settings),
+            motion,
+            delay_s=30.0,
+            unseen=unseen,
+            latest_s=0.5,
+            budget_s=0.5 + SLACK_S,
+        )
+        for name, settings, unseen in (
+            ("melfa-serial", MELFA_SERIAL, NO_WIDTH),
+            ("melfa-tcp", MELFA_TCP, TEXT),
+        )
+    ),
+    Pair("ur", partial(arm, UR), motion, delay_s=30.0, unseen=FRAMED, latest_s=0.3, budget_s=0.3 + SLACK_S),
     Pair(
         "optoncdt-1420",
         partial(on, OptoncdtLaser, OPTO),
         partial(measure_range, 6e-5),
         unseen=NO_CHECK,
+        latest_s=STALE_S,
+        budget_s=0.25 + SLACK_S,
     ),
     *(
-        Pair(f"riftek-{name}", partial(on, make, RIFTEK), partial(measure_range, 1e-5), unseen=unseen)
+        Pair(
+            f"riftek-{name}",
+            partial(on, make, RIFTEK),
+            partial(measure_range, 1e-5),
+            unseen=unseen,
+            latest_s=STALE_S if name == "binary" else 0.1,
+            budget_s=0.25 + SLACK_S,
+        )
         for name, make, unseen in RIFTEKS
     ),
-    Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=FRAMED),
-    Pair("keyence-il", partial(on, DlRs1a, KEYENCE), partial(measure_range, 3e-5), unseen=SWAPPED),
-    Pair("keyence-gt2", partial(on, DlRs1a, GAUGE), partial(measure_range, 1e-5), unseen=SWAPPED),
-    Pair("robotiq-ft300", partial(on, Ft300, ROBOTIQ), measure_force),
+    Pair("ams-335i", partial(on, Ams335i, AMS), partial(measure_range, 2e-3), unseen=BUS, latest_s=0.05),
+    *(
+        Pair(
+            name,
+            partial(on, DlRs1a, config),
+            partial(measure_range, tolerance_m),
+            unseen=SWAPPED,
+            delay_s=12.0,
+            latest_s=1.0,
+            budget_s=1.0 + SLACK_S,
+        )
+        for name, config, tolerance_m in (("keyence-il", KEYENCE, 3e-5), ("keyence-gt2", GAUGE, 1e-5))
+    ),
+    Pair("robotiq-ft300", partial(on, Ft300, ROBOTIQ), measure_force, latest_s=STALE_S),
     Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=FRAMED),
     Pair(
         "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=FRAMED
     ),
-    Pair("wago-750-337", partial(on, WagoProbe, WAGO), partial(wait_for_touch, PERIOD_S), unseen=FRAMED),
+    Pair(
+        "wago-750-337",
+        partial(on, WagoProbe, WAGO),
+        partial(wait_for_touch, PERIOD_S),
+        unseen=BUS,
+        latest_s=0.1,
+        budget_s=0.6 + SLACK_S,  # two attempts to read an object
+    ),
 ]

@@ -1,14 +1,13 @@
 """What every driver does with every device, in virtual time: the conformance kit. Its table is `pairs.py`."""
 
-import numpy as np
 import pytest
 
 from estimation.errors import DeviceError, IdentityMismatch
 from simulators.registry import DEVICES
 from tests.conformance.pairs import PAIRS, Pair
 from tests.conformance.rig import Rig
+from tests.conformance.sessions import FAULTS, play
 
-MESSAGE_FAULTS = ("late", "drop", "duplicate", "reorder", "truncate", "corrupt", "lose-byte", "split")
 LATE_S = 0.05
 
 
@@ -69,51 +68,11 @@ class TestConformance:
             link.faults.clear()
         rig.heal()
 
-    @pytest.mark.parametrize("fault", MESSAGE_FAULTS)
+    @pytest.mark.parametrize("fault", FAULTS)
     def test_no_value_is_wrong_whatever_the_wire_does(self, pair: Pair, fault: str) -> None:
         if fault in pair.unseen:
             pytest.skip(f"{pair.kind}, {fault}: {pair.unseen[fault]}")
-        session(pair, 7, [fault], 0.05)
-
-
-def session(pair: Pair, seed: int, faults: list[str], chance: float) -> None:
-    """Work on a wire with faults, then without: every value is true, nothing hangs, all heals."""
-    rig = Rig(pair, seed)
-    rig.driver.connect()
-    for link in rig.links:
-        for fault in faults:
-            link.faults.add(fault, LATE_S if fault == "late" else None, chance=chance)
-    for _ in range(3):
-        if not rig.timed_work():
-            rig.release()
-    for link in rig.links:
-        link.faults.clear()
-    rig.heal()
-
-
-def sessions(seeds: range) -> list[str]:
-    """What went wrong, by seed; each draws a pair, two faults and how often they strike."""
-    failures = list[str]()
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        pair = PAIRS[seed % len(PAIRS)]
-        possible = [fault for fault in MESSAGE_FAULTS if fault not in pair.unseen]
-        faults = rng.choice(possible, 2, replace=False).tolist()
-        chance = float(rng.choice([0.01, 0.05, 0.2]))
-        try:
-            session(pair, seed, faults, chance)
-        except Exception as error:
-            failures.append(f"seed {seed}, {pair.kind}, {faults} at {chance:g}: {error!r:.200}")
-    return failures
-
-
-def test_seeded_sessions_with_faults() -> None:
-    assert sessions(range(80)) == []
-
-
-@pytest.mark.campaign
-def test_fifty_thousand_seeded_sessions_with_faults() -> None:
-    assert sessions(range(50_000)) == []
+        play(pair, 7, [fault], 0.05, min(LATE_S, pair.latest_s))
 
 
 def test_every_simulated_device_has_a_driver_in_the_table() -> None:
