@@ -187,8 +187,13 @@ def parse_position(text: str, names: Sequence[str]) -> Position:
     try:
         end = fields.index("")
         rest = fields[end + 1 :]
-        pairs = dict(zip(fields[:end:2], fields[1:end:2], strict=True))
-        if list(pairs)[: len(names)] != list(names) or not all(map(_NUMBER.fullmatch, pairs.values())):
+        told = fields[:end:2]
+        pairs = dict(zip(told, fields[1:end:2], strict=True))
+        if (
+            told[: len(names)] != list(names)
+            or len(pairs) != len(told)
+            or not all(map(_NUMBER.fullmatch, pairs.values()))
+        ):
             raise ValueError("other axes")
         return Position({name: float(value) for name, value in pairs.items()}, float(rest[1]), float(rest[2]))
     except (ValueError, IndexError):

@@ -6,6 +6,7 @@ What makes a frame right is written here anew, without the codecs; the CRC is th
 import random
 import re
 import struct
+import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from estimation.errors import DeviceError
 from simulators.modbus_slave import crc
 from tests.drivers.fakes import FakeByteLink, VirtualClock
 
+LONGEST_S = 0.01
 CHARACTERS = b"0123456789+-.,;#QokRtTAF_ \r\n\0\x80\xff"
 
 
@@ -141,6 +143,12 @@ def melfa_lines(data: bytes) -> None:
         assert re.match(rb"Qo[Kk]J1;[+-]?[0-9.]+;J2;", line)
 
 
+def melfa_pose(data: bytes) -> None:
+    position_m, angles_rad = melfa_codec.parse_pose(melfa_codec.parse_answer(data, "PPOSF").text)
+    assert np.isfinite([*position_m, *angles_rad]).all()
+    assert re.match(rb"Qo[Kk]X;[+-]?[0-9.]+;Y;[+-]?[0-9.]+;Z;", data.lstrip(b"\r\n"))
+
+
 def melfa_state(data: bytes) -> None:
     text = melfa_codec.parse_answer(data, "STATE").text
     melfa_codec.parse_state(text)
@@ -153,6 +161,11 @@ def melfa_info(data: bytes) -> None:
 
 RECIPE = ur_codec.Recipe(24)
 RECIPE.accept(b"\x01" + ",".join(RECIPE.fields.values()).encode())
+
+
+def ur_recipe(data: bytes) -> None:
+    ur_codec.Recipe(24).accept(data)
+    assert data[1:] == ",".join(RECIPE.fields.values()).encode()
 
 
 def ur_stream(data: bytes) -> None:
@@ -249,8 +262,13 @@ PARSERS = [
             b"QeR6020\r",
         ),
     ),
+    Parser(
+        melfa_pose,
+        (b"QoKX;290.62;Y;-0.09;Z;11.26;A;-179.94;B;-0.26;C;179.93;L1;0.00;;6,0;100;0.00;00000000",),
+    ),
     Parser(melfa_state, (b"Qok2.MB5;100;100;5;A1124220;1;1;;;;;;;;;REP;START;1;0", b"Qer4220")),
     Parser(melfa_info, (b"QoKXYZABC;XY;1;2;3;4;RV-4FL;CR750;F;S;R6;ENG;COPYRIGHT",)),
+    Parser(ur_recipe, (b"\x01" + ",".join(RECIPE.fields.values()).encode(),)),
     Parser(ur_stream, (PACKAGE, PACKAGE * 2, ur_codec.encode(ur_codec.START, b"\x01"))),
     Parser(slcan_line, (b"t1836371200010000\r", b"t194101\r", b"t0800\r", b"T000001831AA\r")),
     Parser(sdo_answer, (bytes.fromhex("4F00600101000000"), bytes.fromhex("8000600100000206"))),
@@ -263,19 +281,42 @@ PARSERS = [
 ]
 
 
-def attack(parser: Parser, count: int, seed: int) -> int:
-    """How many of the damaged frames were accepted nonetheless."""
-    rng, accepted = random.Random(seed), 0
+@dataclass
+class Outcome:
+    """Of many damaged frames."""
+
+    accepted: int = 0  # they were right, or nothing can tell that they were not
+    refused: int = 0
+    slowest_s: float = 0.0  # frame, by the clock on the wall; a slow one is measured once more
+
+
+def attempt(parser: Parser, data: bytes) -> bool:
+    """Whether these bytes were accepted. Fails for any exception but the documented ones."""
+    try:
+        parser.parse(data)
+    except DeviceError:
+        return False
+    except Exception as error:
+        pytest.fail(f"{data!r}: {error!r}")
+    return True
+
+
+def attack(parser: Parser, count: int, seed: int) -> Outcome:
+    """Feed so many damaged frames; none may take longer than `LONGEST_S` of CPU time on a second try."""
+    rng, outcome, clock_s = random.Random(seed), Outcome(), time.perf_counter
     for _ in range(count):
         data = damaged(rng.choice(parser.frames), rng)
-        try:
-            parser.parse(data)
-            accepted += 1
-        except DeviceError:
-            pass
-        except Exception as error:
-            pytest.fail(f"{data!r}: {error!r}")
-    return accepted
+        begun_s = clock_s()
+        accepted = attempt(parser, data)
+        outcome.accepted += accepted
+        outcome.refused += not accepted
+        if (took_s := clock_s() - begun_s) > LONGEST_S:
+            begun_s = time.process_time()
+            attempt(parser, data)
+            took_s = time.process_time() - begun_s
+            assert took_s < LONGEST_S, f"{data!r} takes {took_s:.3f} s"
+        outcome.slowest_s = max(outcome.slowest_s, took_s)
+    return outcome
 
 
 @pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.parse.__name__)
@@ -288,4 +329,6 @@ class TestDamagedFrames:
 
     @pytest.mark.campaign
     def test_a_million(self, parser: Parser) -> None:
-        attack(parser, 1_000_000, 1)
+        outcome = attack(parser, 1_000_000, 1)
+        cells = (outcome.accepted, outcome.refused, f"{outcome.slowest_s * 1e3:.1f}")
+        print(f"| {parser.parse.__name__} | {' | '.join(str(cell) for cell in cells)} |")
