@@ -202,6 +202,8 @@ def _remedy(belief: Belief, labels: Sequence[str]) -> str:
         return "Tilt the tool by 20 deg or more in at least two directions, and turn it about the beam"
     if "kinematics" in blocks:
         return "Move every joint through a wider range, measure objects elsewhere too, or give a prior"
+    if blocks & {"axis 1", "axis 2"}:
+        return "Turn that axis further, and measure points farther away from it"
     if "probe" in blocks or "probe.radius" in blocks:
         return "Touch the sphere from more sides, with the tool turned"
     name = sorted(blocks)[0]

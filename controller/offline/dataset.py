@@ -14,6 +14,7 @@ from controller.offline.dataset_kinematics import KINEMATIC_DATASETS
 from controller.offline.dataset_localization import LocalizationDataset
 from controller.offline.dataset_pairs import PAIR_DATASETS
 from controller.offline.dataset_parts import Dataset
+from controller.offline.dataset_positioner import POSITIONER_DATASETS
 from controller.offline.dataset_tasks import SENSOR_DATASETS
 from controller.offline.dataset_two_robots import TwoRobotsDataset
 from controller.offline.refusal import BadFile
@@ -26,6 +27,7 @@ DATASETS: Final[dict[str, type[Dataset]]] = {
     **PAIR_DATASETS,
     **KINEMATIC_DATASETS,
     TwoRobots.task: TwoRobotsDataset,
+    **POSITIONER_DATASETS,
     Localization.task: LocalizationDataset,
 }
 _MOST_SHOWN: Final = 10

@@ -17,6 +17,7 @@ from controller.offline.dataset_parts import (
     Prior,
     SharedErrors,
     Std,
+    Units,
     Wrong,
     beyond,
     unequal,
@@ -154,7 +155,10 @@ class Face(Part):
     """Out of the material, of length 1."""
 
 
-class _OnPlanes(SensorDataset):
+class FacesOfPart(Part):
+    """Readings on plane faces, each with its name."""
+
+    units: Units
     faces: Annotated[tuple[Face, ...], Field(min_length=3)]
     """Faces of the part."""
     face: tuple[str, ...]
@@ -162,10 +166,10 @@ class _OnPlanes(SensorDataset):
     form_u_m: Std = 0.0
     """Standard deviation by which a face lies off as a whole."""
 
-    def arguments(self) -> dict[str, Any]:
+    def of_faces(self) -> dict[str, Any]:
+        """Arguments of the problem."""
         names = [face.name for face in self.faces]
         return {
-            **super().arguments(),
             "faces": tuple(
                 plane(face.name, self.units.lengths(face.point), np.array(face.normal)) for face in self.faces
             ),
@@ -173,12 +177,47 @@ class _OnPlanes(SensorDataset):
             "form_std_m": self.form_u_m,
         }
 
-    def wrong(self) -> Iterator[Wrong]:
-        yield from super().wrong()
-        yield from unequal(("face",), len(self.face), len(self.motion), "pose")
+    def wrong_faces(self, count: int, what: str) -> Iterator[Wrong]:
+        """What is wrong with them, `count` readings, one for each `what`."""
+        yield from unequal(("face",), len(self.face), count, what)
         yield from unknown_names(("face",), self.face, [face.name for face in self.faces])
         for place, face in enumerate(self.faces):
             yield from not_unit(("faces", place, "normal"), face.normal)
+
+
+class MarkersOfObject(Part):
+    """Points that are told apart."""
+
+    units: Units
+    marker: tuple[Index, ...]
+    """The marker of each point, counted from 0."""
+    markers: Annotated[tuple[Point, ...], Field(min_length=1)] | None = None
+    """Markers in the frame of the object; estimated where they are left out."""
+    marker_u_m: Std = 0.0
+    """Standard uncertainty of each of their coordinates."""
+
+    def of_markers(self) -> dict[str, Any]:
+        """Arguments of the problem."""
+        return {
+            "marker_index": np.array(self.marker, dtype=np.intp),
+            "markers_m": None if self.markers is None else self.units.lengths(self.markers),
+            "marker_std_m": self.marker_u_m,
+        }
+
+    def wrong_markers(self, count: int) -> Iterator[Wrong]:
+        """What is wrong with them, for `count` points."""
+        yield from unequal(("marker",), len(self.marker), count, "point")
+        if self.markers is not None:
+            yield from beyond(("marker",), self.marker, len(self.markers), "markers")
+
+
+class _OnPlanes(FacesOfPart, SensorDataset):
+    def arguments(self) -> dict[str, Any]:
+        return {**super().arguments(), **self.of_faces()}
+
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        yield from self.wrong_faces(len(self.motion), "pose")
 
 
 def unknown_names(path: tuple[str, ...], used: tuple[str, ...], known: list[str]) -> Iterator[Wrong]:
@@ -198,35 +237,25 @@ def not_unit(path: tuple[str | int, ...], direction: Point) -> Iterator[Wrong]:
         yield path, f"a direction of length {length:.4g}", "write one of length 1"
 
 
-class _Markers(SensorDataset):
+class _Markers(MarkersOfObject, SensorDataset):
     points: Annotated[tuple[Point, ...], Field(min_length=1)]
     """Markers as the sensor sees them, x, y, z in its frame."""
     pose: tuple[Index, ...]
     """The pose of each point, counted from 0."""
-    marker: tuple[Index, ...]
-    """The marker of each point, counted from 0."""
-    markers: Annotated[tuple[Point, ...], Field(min_length=1)] | None = None
-    """Markers in the frame of the object; estimated where they are left out."""
-    marker_u_m: Std = 0.0
-    """Standard uncertainty of each of their coordinates."""
 
     def arguments(self) -> dict[str, Any]:
         return {
             **super().arguments(),
+            **self.of_markers(),
             "points_m": self.units.lengths(self.points),
             "pose_index": np.array(self.pose, dtype=np.intp),
-            "marker_index": np.array(self.marker, dtype=np.intp),
-            "markers_m": None if self.markers is None else self.units.lengths(self.markers),
-            "marker_std_m": self.marker_u_m,
         }
 
     def wrong(self) -> Iterator[Wrong]:
         yield from super().wrong()
+        yield from self.wrong_markers(len(self.points))
         yield from unequal(("pose",), len(self.pose), len(self.points), "point")
-        yield from unequal(("marker",), len(self.marker), len(self.points), "point")
         yield from beyond(("pose",), self.pose, len(self.motion), "poses")
-        if self.markers is not None:
-            yield from beyond(("marker",), self.marker, len(self.markers), "markers")
 
 
 class Camera(_Markers):

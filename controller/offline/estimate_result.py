@@ -15,6 +15,7 @@ from estimation.solver import Update
 from estimation.statistics import expanded_uncertainty
 from estimation.tasks.findings import Cause
 from estimation.tasks.kinematics import Calibrated
+from estimation.tasks.positioner_result import Derived, Positioned
 from estimation.tasks.solve import CONSISTENCY_LEVEL, Result
 from estimation.transform import FloatArray, Transform
 
@@ -34,6 +35,7 @@ class Estimate:
     parameters : posterior of the blocks that a user asked for, or that the data made better known.
     second_cost : cost of the next best solution over that of the best, None if there is none.
     arm : with its parameters as they were found, where these were to be calibrated.
+    derived : numbers that follow from the parameters.
     """
 
     task: str
@@ -44,6 +46,7 @@ class Estimate:
     parameters: Belief | None = None
     second_cost: float | None = None
     arm: ArmModel | None = None
+    derived: tuple[Derived, ...] = ()
 
 
 def estimate(dataset: Dataset) -> Estimate:
@@ -61,7 +64,8 @@ def of_result(result: Result) -> Estimate:
     shown = result.belief.marginal(result.shown)
     status = NOT_USABLE if reason else USABLE
     arm = result.arm if isinstance(result, Calibrated) else None
-    return Estimate(result.task, status, reason, result.notes, result.estimate, shown, second, arm)
+    derived = result.derived if isinstance(result, Positioned) else ()
+    return Estimate(result.task, status, reason, result.notes, result.estimate, shown, second, arm, derived)
 
 
 def _unexplained(update: Update) -> str:
@@ -87,10 +91,14 @@ def document(found: Estimate) -> dict[str, Any]:
     scale = np.array([_outside(unit)[1] for block in belief.blocks for unit in block.units])
     std = scale * np.sqrt(np.diag(belief.covariance))
     labels = list(belief.labels)
-    arm = {} if found.arm is None else {"arm": _links(found.arm)}
+    own: dict[str, Any] = {}
+    if found.arm is not None:
+        own["arm"] = _links(found.arm)
+    if found.derived:
+        own["derived"] = {each.name: _number(each) for each in found.derived}
     return {
         **head,
-        **arm,
+        **own,
         "notes": list(found.notes),
         "parameters": {block.name: _value(block.value, block.units) for block in belief.blocks},
         "parameter_names": labels,
@@ -128,6 +136,11 @@ def _links(arm: ArmModel) -> list[dict[str, str]]:
         {name: form[name](float(getattr(arm, name)[joint]), 6) for name in PARAMETER_NAMES}
         for joint in range(arm.joint_count)
     ]
+
+
+def _number(derived: Derived) -> dict[str, Any]:
+    unit, factor = _outside(derived.unit)
+    return {"value": factor * derived.value, "unit": unit, "standard_uncertainty": factor * derived.u}
 
 
 COLUMNS: Final = ("parameter", "value", "u", "U (95 %)", "unit", "budget")
@@ -182,6 +195,9 @@ def _quantities(found: Estimate) -> Iterator[_Quantity]:
         for i, (name, unit) in enumerate(zip(block.freedoms, block.units, strict=True)):
             label = block.name if len(block.freedoms) == 1 else f"{block.name} {name}"
             yield label, block.value[i : i + 1], unit, _of(parts, np.array([i]))
+    for each in found.derived:
+        parts = {source: np.array([[variance]]) for source, variance in each.variance.items()}
+        yield each.name, np.array([each.value]), each.unit, parts
 
 
 def _of(parts: Mapping[str, FloatArray], place: Any) -> dict[str, FloatArray]:

@@ -156,6 +156,11 @@ class Tracker(MarkerTask):
     markers: ClassVar[str] = "reflectors"
 
     def covariance_of_points(self) -> FloatArray:
-        across = np.eye(3) * np.sum(self.points_m**2, axis=1)[:, None, None]
-        across = across - self.points_m[:, :, None] * self.points_m[:, None, :]
-        return np.asarray(self.std_m**2 * np.eye(3) + self.angle_std_rad**2 * across)
+        return beam_covariance(self.points_m, self.std_m, self.angle_std_rad)
+
+
+def beam_covariance(points_m: FloatArray, std_m: float, angle_std_rad: float) -> FloatArray:
+    """(m, 3, 3), m^2, of points (m, 3) at the end of a beam from the origin, whose direction scatters."""
+    across = np.eye(3) * np.sum(points_m**2, axis=1)[:, None, None]
+    across = across - points_m[:, :, None] * points_m[:, None, :]
+    return np.asarray(std_m**2 * np.eye(3) + angle_std_rad**2 * across)

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Final
 
-from estimation.tasks import camera, laser, pairs, probe
+from estimation.tasks import camera, laser, pairs, positioner, probe
 from estimation.tasks.pairs import PairTask
+from estimation.tasks.positioner import PositionerTask
 from estimation.tasks.sensing import SensorTask
 from estimation.tasks.solve import Problem
 from estimation.tasks.two_robots import TwoRobots
@@ -29,7 +30,18 @@ SENSOR_TASKS: Final[Mapping[str, type[SensorTask]]] = {kind.task: kind for kind 
 PAIR_TASKS: Final[Mapping[str, type[PairTask]]] = {kind.task: kind for kind in _PAIR_KINDS}
 """A sensor reports whole poses, or how it moved."""
 
-TASKS: Final[Mapping[str, type[Problem]]] = {**SENSOR_TASKS, **PAIR_TASKS, TwoRobots.task: TwoRobots}
+POSITIONER_TASKS: Final[Mapping[str, type[PositionerTask]]] = {
+    kind.task: kind
+    for kind in (positioner.PositionerPoints, positioner.PositionerSphere, positioner.PositionerPlanes)
+}
+"""Points of an object on a table with two axes."""
+
+TASKS: Final[Mapping[str, type[Problem]]] = {
+    **SENSOR_TASKS,
+    **PAIR_TASKS,
+    **POSITIONER_TASKS,
+    TwoRobots.task: TwoRobots,
+}
 """All of them; the arm is known, or has priors."""
 
 KINEMATIC_TASKS: Final[Mapping[str, type[SensorTask]]] = {

@@ -58,7 +58,7 @@ def on_planes(
     used = np.flatnonzero(np.abs(sensor_p).max(axis=0) > 0.0)
     along = [sensor_p[None, :, axis, None] * near_n for axis in used]
     design = np.concatenate([near_n, -far_n, *along], axis=2)
-    solution = _solved(design, target)
+    solution = least_squares(design, target)
     axes = np.zeros((len(grid), 3, 3))
     for column, axis in enumerate(used):
         axes[:, :, axis] = solution[:, 6 + 3 * column : 9 + 3 * column]
@@ -67,7 +67,7 @@ def on_planes(
     turned = np.einsum("gij,mj->gmi", mount, sensor_p)
     remaining = target - np.einsum("gmi,gmi->gm", near_n, turned)
     design = np.concatenate([near_n, -far_n], axis=2)
-    origins = _solved(design, remaining)
+    origins = least_squares(design, remaining)
     residual = np.einsum("gmk,gk->gm", design, origins) - remaining
     return _poses(mount, origins[:, :3]), _poses(grid, origins[:, 3:]), _rms(residual)
 
@@ -95,14 +95,14 @@ def on_points(
             )
         )
     design = np.concatenate(parts, axis=3).reshape(count, 3 * rows, -1)
-    solution = _solved(design, target.reshape(count, -1))
+    solution = least_squares(design, target.reshape(count, -1))
     holder = np.broadcast_to(np.eye(3), (count, 3, 3))
     if not single:
         holder = nearest_rotation(solution[:, 6:].reshape(count, 3, 3))
         held = np.einsum("gij,mj->gmi", holder, spread)
         design = np.concatenate(parts[:2], axis=3).reshape(count, 3 * rows, 6)
         target = target + held
-        solution = _solved(design, target.reshape(count, -1))
+        solution = least_squares(design, target.reshape(count, -1))
     residual = np.einsum("gmk,gk->gm", design, solution) - target.reshape(count, -1)
     centre = solution[:, 3:6] - np.einsum("gij,j->gi", holder, marker_p.mean(axis=0))
     return _poses(grid, solution[:, :3]), _poses(holder, centre), _rms(residual)
@@ -131,7 +131,7 @@ def on_sphere(
         parts = [np.einsum("gmi,mij->gmj", unit, near), -unit]
         if radius_m is None:
             parts.append(np.full((*unit.shape[:2], 1), -1.0))
-        step = _solved(np.concatenate(parts, axis=2), -residual)
+        step = least_squares(np.concatenate(parts, axis=2), -residual)
         # A step longer than the sphere is wide has left the range where it is true.
         step *= np.minimum(1.0, 2.0 * radius / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
         last = (origin, middle, radius)
@@ -216,7 +216,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
 
 
-def _solved(design: FloatArray, target: FloatArray) -> FloatArray:
+def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
     """Least squares (g, u) of many problems (g, m, u), (g, m) at once."""
     normal = design.swapaxes(1, 2) @ design
     diagonal = np.maximum(np.einsum("gii->gi", normal), 1e-300)
