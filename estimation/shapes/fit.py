@@ -29,7 +29,7 @@ from estimation.transform import FloatArray
 
 KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphere, Cylinder, Cone, Torus)}
 _SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
-_FINE: Final = 1e-11  # last step with more points, in sizes and radians
+_FINE: Final = 1e-11  # step that may be left with more points, in sizes and radians
 _HUBER: Final = 1.345  # standard deviations: 95 % as efficient as least squares on honest data
 _ROBUST_ROUNDS: Final = 50
 _FALSE_ALARMS: Final = 0.01  # of the outlier gate, over all points together
@@ -102,7 +102,7 @@ def _global_minimum(
 
 def _refined(start: Shape, checked: Points, weights: FloatArray) -> Optimum:
     centroid = checked.centroid_m
-    # Each step is about a thousandth of the one before: with many points the last one is not worth its pass.
+    # With many points a step to the last digit is not worth its pass.
     tolerance = FINEST if len(checked.points_m) <= _SAMPLE else _FINE
     found = minimise(start.settled(centroid), checked.points_m, weights, checked.size_m, tolerance)
     return replace(found, shape=found.shape.settled(centroid))

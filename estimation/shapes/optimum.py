@@ -13,7 +13,8 @@ from estimation.transform import FloatArray
 _LARGEST_ITERATIONS: Final = 300
 _FLOOR: Final = 1e-13  # of the cost: a smaller decrease cannot be told from rounding
 _ROUNDING: Final = 1e-16
-FINEST: Final = 1e-14  # last step, in sizes of the data and radians
+FINEST: Final = 1e-14  # step that may be left, in sizes of the data and radians
+_FAST: Final = 0.05  # of the step before
 _COARSE: Final = 1e-6
 _COARSE_ITERATIONS: Final = 30  # a start that takes longer is a bad one
 _LARGEST_DAMPING: Final = 1e12
@@ -53,7 +54,7 @@ def minimise(
     ----------
     points_m, weights : (n, 3), and (n,) or (0,) for ones: the cost is the sum of (weight distance)^2.
     size_m : of the data; steps are judged by it.
-    tolerance : largest last step, in sizes and radians.
+    tolerance : largest step that may be left, in sizes and radians.
     """
     count = len(shape.FREEDOMS)
     unit = np.array([1.0 if shape.is_angle(name) else size_m for name in shape.FREEDOMS])
@@ -86,8 +87,11 @@ def minimise(
             damping = 0.0
         gain = (cost - trial_cost) / promised if promised > 0.0 else 1.0
         damping = 0.0 if gain > 0.75 or at_floor else damping * max(1 / 3, 1 - (2 * gain - 1) ** 3)
+        # Where steps shrink fast, the next one would be this one times what it is to the last.
+        shrunk = length / last_step
+        left = length * shrunk if 0.0 < shrunk < _FAST else length
         growth, last_step, shape, sums = 2.0, length if damping == 0.0 else np.inf, trial, trial_sums
-        if damping == 0.0 and length <= tolerance:
+        if damping == 0.0 and left <= tolerance:
             cost = float(sums[count, count])
             return Optimum(shape, sums[:count, :count], cost, initial, iteration + 1, "step small")
     normal, cost = sums[:count, :count], float(sums[count, count])
@@ -97,7 +101,9 @@ def minimise(
 def _step(scaled: FloatArray, slope: FloatArray, damping: float) -> FloatArray:
     """Solution of (scaled + damping I) step = -slope."""
     try:
-        return np.asarray(np.linalg.solve(scaled + damping * np.eye(len(slope)), -slope), dtype=np.float64)
+        damped = scaled.copy()
+        damped.flat[:: len(slope) + 1] += damping
+        return np.asarray(np.linalg.solve(damped, -slope), dtype=np.float64)
     except np.linalg.LinAlgError:  # a direction without any slope: it takes no step
         return np.asarray(np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0], dtype=np.float64)
 

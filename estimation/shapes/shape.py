@@ -1,8 +1,10 @@
 """A surface in a frame of its own, and the small changes that an estimator may make to it."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar, Final, Self
 
 import numpy as np
@@ -89,12 +91,11 @@ class Shape(ABC):
         """The shape after a small change (p,) of its freedoms, taken in its own frame."""
         motion = np.zeros(6)
         count = len(self.FREEDOMS) - len(self.sizes)
-        motion[[MOTIONS.index(name) for name in self.FREEDOMS[:count]]] = step[:count]
-        return replace(
-            self,
-            origin_m=self.origin_m + self.axes @ motion[:3],
-            axes=_turned(self.axes, motion[3:]),
-            sizes=self.sizes + step[count:],
+        motion[_places(self.FREEDOMS[:count])] = step[:count]
+        return type(self)(
+            self.origin_m + self.axes @ motion[:3],
+            _turned(self.axes, motion[3:]),
+            self.sizes + step[count:],
         )
 
     def scaled(self, factor: float, centre_m: FloatArray) -> Self:
@@ -129,13 +130,20 @@ def plain(values: Sequence[float]) -> FloatArray:
     return np.array(values, dtype=np.float64)
 
 
+@lru_cache
+def _places(freedoms: tuple[str, ...]) -> list[int]:
+    return [MOTIONS.index(name) for name in freedoms]
+
+
 def _turned(axes: FloatArray, turn: FloatArray) -> FloatArray:
     """axes Exp(turn), without the rounding that many such products would collect."""
-    angle = float(np.sqrt(turn @ turn))
-    half = angle / 2.0
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(half / np.pi) ** 2
-    x, y, z = turn
+    x, y, z = turn.tolist()
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle < 1e-3:  # the series is exact to rounding here
+        first, second = 1.0 - square / 6.0 + square**2 / 120.0, 0.5 - square / 24.0
+    else:
+        first, second = math.sin(angle) / angle, 2.0 * (math.sin(angle / 2.0) / angle) ** 2
     generator = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    product = axes @ (np.eye(3) + first * generator + second * generator @ generator)
-    return np.asarray(product @ (1.5 * np.eye(3) - 0.5 * product.T @ product))
+    product = axes + axes @ (first * generator + second * (generator @ generator))
+    return np.asarray(1.5 * product - product @ (0.5 * product.T @ product))

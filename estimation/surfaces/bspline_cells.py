@@ -20,7 +20,7 @@ DEGREE: Final = 3
 COMPILED: Final = kernels is not None
 _CLOSED: Final = 1e-9  # of the size: the two edges of a patch that are one line, and go on smoothly
 _STEPS: Final = 40
-_CONVERGED: Final = 1e-7  # last step, of the size of the patch: Newton's error is its square
+_CONVERGED: Final = 1e-6  # last step, of the size of the patch: Newton's error is its square
 _FIRST_DAMPING: Final = 1e-3
 _LARGEST_DAMPING: Final = 1e12
 

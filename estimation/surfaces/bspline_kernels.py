@@ -16,7 +16,7 @@ from estimation.surfaces.sums_kernels import add_point
 from estimation.transform import FloatArray
 
 STEPS: Final = 40
-CONVERGED: Final = 1e-7  # last step, of the size of the patch: Newton's error is its square
+CONVERGED: Final = 1e-6  # last step, of the size of the patch: Newton's error is its square
 FIRST_DAMPING: Final = 1e-3
 LARGEST_DAMPING: Final = 1e12
 
@@ -58,6 +58,15 @@ def _jet(
             ftt = ftt * s + 6.0 * c3 * t + 2.0 * c2
         jet[0, k], jet[1, k], jet[2, k] = f, fs * per_u, ft * per_v
         jet[3, k], jet[4, k], jet[5, k] = 2.0 * fss * per_u**2, fst * per_u * per_v, ftt * per_v**2
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _shift(jet: FloatArray, du: float, dv: float) -> None:
+    """Moves point and first derivatives of a jet along."""
+    for k in range(3):
+        jet[0, k] += du * jet[1, k] + dv * jet[2, k]
+        jet[1, k] += du * jet[3, k] + dv * jet[4, k]
+        jet[2, k] += du * jet[4, k] + dv * jet[5, k]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -117,13 +126,19 @@ def _foot(
         scale = huu * hvv - huv * huv
         du = 0.0 if pin_u else -(hvv * gu - huv * gv) / scale
         dv = 0.0 if pin_v else -(huu * gv - huv * gu) / scale
+        length = math.sqrt(du * du * e + dv * dv * g)
+        if length < CONVERGED * size_m and damping == 0.0 and not on_edge:
+            un, vn = u + du, v + dv
+            if breaks_u[i] <= un < breaks_u[i + 1] and breaks_v[j] <= vn < breaks_v[j + 1]:
+                _shift(jet, du, dv)  # so near that its change is linear
+                return un, vn, False
         un, vn = _within(u + du, breaks_u, closed_u), _within(v + dv, breaks_v, closed_v)
         i, j = _cell(un, breaks_u, i), _cell(vn, breaks_v, j)
         _jet(un, vn, i, j, breaks_u, breaks_v, coefficients, jet)
         rx, ry, rz = jet[0, 0] - x, jet[0, 1] - y, jet[0, 2] - z
         trial = rx * rx + ry * ry + rz * rz
         if trial <= squared * (1.0 + 1e-14):
-            last = math.sqrt(du * du * e + dv * dv * g)
+            last = length
             u, v, squared, damping = un, vn, trial, damping * 0.1 if damping > FIRST_DAMPING else 0.0
         else:
             damping = max(10.0 * damping, FIRST_DAMPING)
