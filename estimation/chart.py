@@ -91,8 +91,11 @@ def prior_rows(belief: Belief, root: FloatArray) -> FloatArray:
 
 def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     """normal^-1 right for a positive definite matrix, whatever the units of its unknowns."""
-    scale = 1.0 / np.sqrt(np.diag(normal))
+    diagonal = np.diag(normal)
     try:
+        if not diagonal.min(initial=1.0) > 0.0:
+            raise np.linalg.LinAlgError
+        scale = 1.0 / np.sqrt(diagonal)
         scaled = np.linalg.solve(normal * np.outer(scale, scale), (right.T * scale).T)
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometry(

@@ -39,12 +39,21 @@ class Fit:
     used: NDArray[np.bool_]
     costs: tuple[tuple[float, ...], ...]
     stop_reason: str
+    converged: bool
+
+    def require_converged(self) -> None:
+        """Raise EstimationError unless this is a minimum."""
+        if not self.converged:
+            raise EstimationError(self.stop_reason, _NEAR_START)
 
 
 def _solve(
     chart: Chart, start: Point, weight: FloatArray, tolerance: float
-) -> tuple[Point, tuple[float, ...], str]:
-    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds to the cost."""
+) -> tuple[Point, tuple[float, ...], str, bool]:
+    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds to the cost.
+
+    Returns where it ended, the costs on the way, why it stopped, and whether that is a minimum.
+    """
     z, rows, jacobian = start
     prior = chart.prior_rows
     residual = weight * rows.residual_m
@@ -59,9 +68,9 @@ def _solve(
         expected = max(float(-gradient @ newton), 0.0)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
-            return (z, rows, jacobian), tuple(costs), "step and gradient small"
+            return (z, rows, jacobian), tuple(costs), "step and gradient small", True
         if polished >= _POLISHING_STEPS:
-            return (z, rows, jacobian), tuple(costs), "cost at its rounding"
+            return (z, rows, jacobian), tuple(costs), "cost at its rounding", True
         # Below the rounding of the cost no step can prove that it helps: take a few in good faith.
         rounding = _ROUNDING_M * float(np.linalg.norm(residual * weight)) + _ROUNDING * cost
         at_floor = expected <= rounding
@@ -79,9 +88,8 @@ def _solve(
                 trial_cost = min(trial_cost, cost)
                 break
             if damping > _LARGEST_DAMPING:
-                raise EstimationError(
-                    f"No step lowers the cost, gradient {steepest:.3g}, limit {tolerance:.3g}", _NEAR_START
-                )
+                stuck = f"No step lowers the cost, gradient {steepest:.3g}, limit {tolerance:.3g}"
+                return (z, rows, jacobian), tuple(costs), stuck, False
             damping, growth = max(damping * growth, 1e-3), growth * 2.0
         # Nielsen's rule: the better the linear model did, the less damping; a good step needs none.
         damping = 0.0 if gain > 0.9 else damping * max(1 / 3, 1 - (2 * gain - 1) ** 3)
@@ -89,11 +97,11 @@ def _solve(
         last_step = float(np.sqrt(np.maximum(step @ normal @ step, 0.0)))
         z, rows, jacobian, residual, cost = trial, trial_rows, trial_jacobian, trial_residual, trial_cost
         costs.append(cost)
-    raise EstimationError(
+    unsettled = (
         f"No convergence in {_LARGEST_ITERATIONS} iterations: last step {last_step:.3g} standard deviations, "
-        f"limit {tolerance:.3g}",
-        _NEAR_START,
+        f"limit {tolerance:.3g}"
     )
+    return (z, rows, jacobian), tuple(costs), unsettled, False
 
 
 def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: float) -> Fit:
@@ -104,16 +112,16 @@ def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: 
     for number in range(_REWEIGHTINGS):
         # The first variance is that of the prior's values: no use in converging to the last digit with it.
         limit = tolerance if number else max(tolerance, _FIRST_TOLERANCE)
-        (z, before, _), course, reason = _solve(chart, point, used / np.sqrt(variance), limit)
+        (z, before, _), course, reason, converged = _solve(chart, point, used / np.sqrt(variance), limit)
         costs.append(course)
         chart, point = _weighed(chart, z)
         latest = row_variance(point[1])
         turned = np.max(np.abs(point[1].residual_m - before.residual_m) / np.sqrt(variance))
         settled = max(np.max(np.abs(latest / variance - 1.0)), turned) < tolerance
         variance = latest
-        if settled and number:
+        if not converged or (settled and number):
             break
-    return Fit(*point, used, tuple(costs), reason)
+    return Fit(*point, used, tuple(costs), reason, converged)
 
 
 def _weighed(chart: Chart, z: FloatArray) -> tuple[Chart, Point]:
@@ -172,6 +180,7 @@ def gated(chart: Chart, z: FloatArray, robust: Robust, level: float, tolerance: 
         if (used == before).all():
             break
         fit = reweighted(chart, fit.z, np.repeat(used, group), tolerance)
+    fit.require_converged()
     return fit
 
 

@@ -208,7 +208,8 @@ def _remedy(belief: Belief, labels: Sequence[str]) -> str:
         return "Touch the sphere from more sides, with the tool turned"
     name = sorted(blocks)[0]
     if name in belief and isinstance(belief.value(name), Transform):
-        freedoms = {label.rpartition(".")[2] for label in labels if label.startswith(f"{name}.")}
+        split = [label.rpartition(".") for label in labels]
+        freedoms = {freedom for block, _, freedom in split if block == name}
         axes = sorted({POSE_FREEDOMS[POSE_FREEDOMS.index(freedom)][-1] for freedom in freedoms})
         along = " and ".join(axes)
         if all(freedom.startswith("t") for freedom in freedoms):

@@ -154,6 +154,7 @@ def update(
         z = robust_start(chart, z, robust)
     if reject_level is None:
         fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance)
+        fit.require_converged()
     else:
         fit = gated(chart, z, robust, reject_level, tolerance)
     return _result(chart, fit, targets, phase)

@@ -11,6 +11,7 @@ from estimation.belief import POSE_FREEDOMS, Belief, Value
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Finding
+from estimation.tasks.rolling import OnPlanes
 from estimation.tasks.sensing import SensorTask, exchanged
 from estimation.transform import FloatArray, Transform
 
@@ -96,8 +97,12 @@ class MarkerTask(SensorTask):
     ) -> list[Mapping[str, Value]]:
         points, index = readings.points_m[rows], self.marker_index[rows]
         if self.markers_m is not None:
-            mount, holder, cost = starts.on_points(pose, points, self.markers_m[index], self.mount_grid())
-            return [self.poses(mount[i], holder[i]) for i in starts.best(cost, mount[:, :3, :3])]
+            markers = self.markers_m[index]
+            mount, holder, _ = starts.on_points(pose, points, markers, self.mount_grid())
+            # A point is where three planes meet.
+            planes = OnPlanes(np.tile(np.eye(3), (len(points), 1)), markers.reshape(-1))
+            thrice = np.repeat(np.arange(len(points)), 3)
+            return self.rolled(pose[thrice], points[thrice], planes, mount, holder)
         # Markers that are not known: the one that is seen most often finds the camera, which sees the others.
         often = index == np.argmax(np.bincount(index))
         mount, _, cost = starts.on_points(

@@ -147,7 +147,8 @@ class SensorChain:
         """Scalar rows need no whitening; points keep the one they have here."""
         if self.group == 1:
             return self
-        return replace(self, whitener=self._rows(values)[1])
+        free = replace(self, whitener=None)  # not what it was given before
+        return replace(self, whitener=free._rows(values)[1])
 
     def rows(self, values: Mapping[str, Value]) -> Rows:
         """Residuals and derivatives. Raises EstimationError when a block is missing."""

@@ -13,7 +13,9 @@ from estimation.surfaces import Feature, plane, sphere_features
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.rolling import OnSphere
 from estimation.tasks.sensing import (
+    OTHER_SIZE,
     SensorTask,
     along_z,
     exchanged,
@@ -25,7 +27,7 @@ from estimation.tasks.sensing import (
 from estimation.transform import FloatArray
 
 _PLATE = (plane("plane", np.zeros(3), np.array([0.0, 0.0, 1.0])),)
-_FIRST_RADIUS_M = 0.015  # where the search for an unknown radius begins
+_RADII_M = (0.005, 0.01, 0.02, 0.04)  # where the search for an unknown radius begins
 _OTHER_KIND = Finding(
     Cause.WRONG_SURFACE,
     "The readings fit a surface of another kind than named",
@@ -128,20 +130,25 @@ class _OnSphere(SensorTask):
         known = self.radius_m is not None
         return belief.with_block(
             "sphere.radius",
-            self.radius_m if self.radius_m is not None else _FIRST_RADIUS_M,
+            self.radius_m if self.radius_m is not None else _RADII_M[0],
             std=self.radius_std_m if known else np.inf,
         )
 
     def candidates(
         self, pose: FloatArray, readings: Readings, rows: NDArray[np.intp]
     ) -> list[Mapping[str, Value]]:
-        toward = np.array([0.0, 0.0, 1.0])
-        found = starts.on_sphere(pose, readings.points_m[rows], self.radius_m, self.mount_grid(), toward)
-        mount, holder, radius, cost = found
-        return [
-            {**self.poses(mount[i], holder[i]), "sphere.radius": radius[i : i + 1]}
-            for i in starts.best(cost, mount[:, :3, :3])
-        ]
+        points, nothing = readings.points_m[rows], np.zeros((len(rows), 3))
+        grid = self.mount_grid()
+        radii = np.array(_RADII_M if self.radius_m is None else [self.radius_m])
+        # Seen from the laser, the centre is about a radius behind the surface.
+        behind = np.array([0.0, 0.0, 1.0])
+        found = [starts.on_points(pose, points + radius * behind, nothing, grid) for radius in radii]
+        mount, holder = (np.concatenate([each[i] for each in found]) for i in (0, 1))
+        return self.rolled(pose, points, OnSphere(), mount, holder, np.repeat(radii, len(grid)))
+
+    def of_another_size(self) -> list[tuple[Finding, SensorTask]]:
+        """The same with the radius left open."""
+        return [] if self.radius_m is None else [(OTHER_SIZE, replace(self, radius_m=None))]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -198,7 +205,7 @@ class PointLaserOnSphere(_OnSphere, PointLaser):
     task: ClassVar[str] = "point-laser-sphere"
 
     def relabelled(self) -> list[tuple[Finding, SensorTask]]:
-        return [(_OTHER_KIND, _as(PointLaserOnPlane, self))]
+        return [(_OTHER_KIND, _as(PointLaserOnPlane, self)), *self.of_another_size()]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -228,7 +235,7 @@ class ProfileLaserOnSphere(_OnSphere, ProfileLaser):
     task: ClassVar[str] = "profile-laser-sphere"
 
     def relabelled(self) -> list[tuple[Finding, SensorTask]]:
-        return [(_OTHER_KIND, _as(ProfileLaserOnPlane, self))]
+        return [(_OTHER_KIND, _as(ProfileLaserOnPlane, self)), *self.of_another_size()]
 
 
 def _as(kind: type[SensorTask], task: SensorTask) -> SensorTask:

@@ -120,7 +120,8 @@ class PairChain:
 
     def weighed_at(self, values: Mapping[str, Value]) -> "PairChain":
         """Keeps the whitening that it has here."""
-        return replace(self, whitener=self._rows(values)[1])
+        free = replace(self, whitener=None)  # not what it was given before
+        return replace(self, whitener=free._rows(values)[1])
 
     def rows(self, values: Mapping[str, Value]) -> Rows:
         """Residuals and derivatives. Raises EstimationError when a block is missing."""

@@ -1,6 +1,6 @@
 """Touch probe: where the centre of its ball is, from touches of a sphere or of faces of a part."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -11,8 +11,10 @@ from estimation.belief import Belief, Value
 from estimation.surfaces import Feature, sphere_features
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
-from estimation.tasks.findings import Finding
+from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.rolling import OnSphere
 from estimation.tasks.sensing import (
+    OTHER_SIZE,
     SensorTask,
     exchanged,
     face_features,
@@ -21,6 +23,8 @@ from estimation.tasks.sensing import (
     with_form,
 )
 from estimation.transform import FloatArray
+
+_SIDES = 40  # directions in which the centre of a sphere is tried
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,13 +85,23 @@ class TouchOnSphere(Touches):
         self, pose: FloatArray, readings: Readings, rows: NDArray[np.intp]
     ) -> list[Mapping[str, Value]]:
         reach_m = self.radius_m + self.ball_radius_m
-        grid = np.repeat(self.mount_grid(), 7, axis=0)
-        # The centre lies behind the touched side: try it one radius off along each axis.
-        found = [
-            starts.on_sphere(pose, readings.points_m[rows], reach_m, grid[:1], toward)
-            for toward in (np.zeros(3), *np.eye(3), *-np.eye(3))
-        ]
-        return [self.poses(mount[0], holder[0]) for mount, holder, _, _ in found]
+        points, nothing = readings.points_m[rows], np.zeros((len(rows), 3))
+        # Taken for one point, touches of one side are half a sphere off: its centre may be anywhere around.
+        mount, holder, _ = starts.on_points(pose, points, nothing, self.mount_grid())
+        around = np.concatenate([np.zeros((1, 3)), starts.directions(_SIDES)[:, :, 2]])
+        holder = np.repeat(holder, len(around), axis=0)
+        holder[:, :3, 3] += reach_m * around
+        mount, radius = np.repeat(mount, len(around), axis=0), np.full(len(around), reach_m)
+        rolled = self.rolled(pose, points, OnSphere(), mount, holder, radius)
+        ball = np.array([self.ball_radius_m])
+        return [{**each, "sphere.radius": each["sphere.radius"] - ball} for each in rolled]
+
+    def explanations(self) -> Sequence[tuple[Finding, SensorTask]]:
+        """Inverted poses are none: they only exchange the ball with the centre of the sphere."""
+        return [each for each in super().explanations() if each[0].cause is not Cause.INVERTED]
+
+    def relabelled(self) -> list[tuple[Finding, SensorTask]]:
+        return [] if np.isinf(self.radius_std_m) else [(OTHER_SIZE, replace(self, radius_std_m=np.inf))]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

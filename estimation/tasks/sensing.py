@@ -15,9 +15,20 @@ from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, SensorChain, Surfaces
 from estimation.tasks.findings import Cause, Finding
 from estimation.tasks.motion import UNIT_FACTORS, Motion
+from estimation.tasks.rolling import Few, OnPlanes, OnSphere, Rolled, rolled
 from estimation.transform import FloatArray, Transform
 
-_MOST_FOR_A_START: Final = 200  # readings: a start needs no more, and its cost grows with them
+OTHER_SIZE: Final = Finding(
+    Cause.WRONG_SURFACE,
+    "The readings fit a sphere of another radius than named",
+    "Check which sphere was measured, and its certificate",
+)
+_MOST_FOR_A_START: Final = 50  # readings: a start needs no more, and its cost grows with them
+# Starts that roll down together, how many readings they see, and steps.
+_ROUNDS: Final = ((150, 40, 4), (40, 150, 12))
+_FEW: Final = 6  # of them are different and good enough to go on with
+_HOPELESS: Final = 100.0  # times the lowest cost: no outlier makes up for that
+_APART_RAD: Final = np.deg2rad(3.0)  # two that come closer than this roll into the same minimum
 _ON_A_FACE: Final = 5.0  # standard deviations
 _ASYMMETRIC: Final = 1e-6  # of the largest element: rounding in a file
 
@@ -202,12 +213,13 @@ class SensorTask:
         """Mistakes with motion, units and labels."""
         found = [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]
         lengths = self._lengths()
-        for factor, units in UNIT_FACTORS.items() if lengths else ():
-            finding = Finding(
-                Cause.WRONG_UNITS, f"The readings fit when divided by {factor:.4g}: {units}", "Give metres"
-            )
-            scaled: dict[str, Any] = {name: given / factor for name, given in lengths.items()}
-            found.append((finding, replace(self, **scaled)))
+        together = [tuple(lengths)] if len(lengths) > 1 else []
+        for names in (*((name,) for name in lengths), *together):
+            for factor, units in UNIT_FACTORS.items():
+                what = f"The data fit when {' and '.join(names)} {'is' if len(names) == 1 else 'are'} divided"
+                finding = Finding(Cause.WRONG_UNITS, f"{what} by {factor:.4g}: {units}", "Give metres")
+                scaled: dict[str, Any] = {name: lengths[name] / factor for name in names}
+                found.append((finding, replace(self, **scaled)))
         return found + self.relabelled()
 
     def relabelled(self) -> list[tuple[Finding, "SensorTask"]]:
@@ -227,6 +239,53 @@ class SensorTask:
             self.sensor: Transform(near, self.sensor, near_T_sensor),
             self.object: Transform(far, self.object, far_T_object),
         }
+
+    def rolled(
+        self,
+        pose: FloatArray,
+        sensor_p: FloatArray,
+        target: OnPlanes | OnSphere,
+        mount: FloatArray,
+        holder: FloatArray,
+        radius_m: FloatArray | None = None,
+    ) -> list[Mapping[str, Value]]:
+        """The best of starts near_T_sensor, far_T_object (g, 4, 4) and radii (g,), rolled down.
+
+        pose (m, 4, 4), sensor_p (m, 3) and the target are of the readings that a start is made from.
+        """
+        belief = self.belief()
+        flat = belief.block(self.sensor).flat if self.sensor in belief else ()
+        free = np.array(
+            [
+                *(name in flat for name in POSE_FREEDOMS),
+                *(name in self.object_freedoms for name in POSE_FREEDOMS),
+                "sphere.radius" in belief and bool(belief.block("sphere.radius").flat),
+            ]
+        )
+        radius_m = np.zeros(len(mount)) if radius_m is None else radius_m
+        if not len(flat):
+            mount = np.broadcast_to(pose_of(values_of(belief), self.sensor).matrix, mount.shape)
+        every, found = Few(pose, sensor_p, target), Rolled(mount, holder, radius_m, np.zeros(len(mount)))
+        for count, readings, steps in _ROUNDS:
+            few = every.thinned(readings)
+            found = rolled(few, found, free, 0)
+            chosen = starts.best(found.square_m2, *self._turns(found), count=count, apart_rad=_APART_RAD)
+            found = rolled(few, found.at(chosen), free, steps)
+        best = starts.best(found.square_m2, *self._turns(found), count=_FEW, apart_rad=_APART_RAD)
+        return [
+            {**self.poses(found.mount[i], found.holder[i]), "sphere.radius": found.radius_m[i : i + 1]}
+            for i in best
+            if found.square_m2[i] <= _HOPELESS * found.square_m2[best[0]]
+        ]
+
+    def _turns(self, found: Rolled) -> list[FloatArray]:
+        """What tells starts apart: rotations, or the z axes of what may spin."""
+        pairs = ((found.mount, self.mount_freedoms), (found.holder, self.object_freedoms))
+        return [
+            pose[:, :3, :3] if "rz" in freedoms else pose[:, :3, 2:3]
+            for pose, freedoms in pairs
+            if "rx" in freedoms
+        ]
 
 
 def along_z(reading_m: FloatArray, std_m: float | FloatArray) -> Readings:
@@ -251,8 +310,8 @@ def plane_starts(
     point = np.array([feature.point_m for feature in features])[index]
     offset = np.einsum("mi,mi->m", normal, point) + ball_m
     grid = starts.directions() if len(features) == 1 else starts.rotations()
-    mount, holder, cost = starts.on_planes(pose, sensor_p, normal, offset, grid)
-    return [task.poses(mount[i], holder[i]) for i in starts.best(cost, holder[:, :3, :3], mount[:, :3, :3])]
+    mount, holder = starts.on_planes(pose, sensor_p, normal, offset, grid)
+    return task.rolled(pose, sensor_p, OnPlanes(normal, offset), mount, holder)
 
 
 def mislabelled(

@@ -14,6 +14,7 @@ from estimation.fitting import reweighted
 from estimation.model import Model, values_of
 from estimation.observability import RankReport
 from estimation.solver import Update, update
+from estimation.tasks.explanations import explained
 from estimation.tasks.findings import Cause, Finding, Status, TaskRefused
 from estimation.transform import FloatArray, Transform, log_pose
 
@@ -21,6 +22,8 @@ AMBIGUOUS_RATIO: Final = 10.0  # of the costs of two solutions, below which neit
 OUTLIER_LEVEL: Final = 1e-3  # probability that an honest batch loses a measurement
 CONSISTENCY_LEVEL: Final = 1e-3  # probability that honest residuals are called inconsistent
 _COARSE: Final = 1e-2  # standard deviations: tolerance of a descent that only ranks its start
+_FEW_REJECTED: Final = 0.05  # share of rows that may contradict an explanation that all others confirm
+_MORE_DESCENTS: Final = 3
 _SAME_SIGMAS: Final = 30.0  # two minima closer than this many standard deviations are one
 
 
@@ -171,30 +174,41 @@ def solve(problem: Problem, explain: bool = True) -> Result:
     sight = tuple(problem.check())
     if any(finding.refuses for finding in sight):
         return refused(problem.task, sight)
-    result = _estimated(problem, sight)
+    try:
+        starts = problem.starts()
+    except EstimationError as error:
+        return refused(problem.task, sight, error)
+    result = _estimated(problem, sight, starts)
     if explain and result.status is not Status.OK and _misfits(result):
-        for finding, other in problem.explanations():
-            if any(each.refuses for each in other.check()):
-                continue
-            again = _estimated(other, ())
-            if again.estimate is not None and not _misfits(again) and not again.rejected.any():
-                return refused(problem.task, (*sight, finding))
+        mistake = explained(problem, starts, _holds)
+        if mistake is not None:
+            return refused(problem.task, (*sight, mistake))
     return result
 
 
+def _holds(problem: Problem) -> bool:
+    """Whether nearly all the data of a problem agree."""
+    result = _estimated(problem, (), problem.starts())
+    return (
+        result.estimate is not None
+        and not _misfits(result)
+        and float(result.rejected.mean()) <= _FEW_REJECTED
+    )
+
+
 def _misfits(result: Result) -> bool:
-    """Whether residuals speak against the data, and not the geometry."""
+    """Whether residuals may speak against the data, and not only the geometry."""
     return any(
-        finding.cause in (Cause.INCONSISTENT, Cause.CLUSTERED_OUTLIERS, Cause.NO_SOLUTION)
+        finding.cause in (Cause.INCONSISTENT, Cause.CLUSTERED_OUTLIERS, Cause.NO_SOLUTION, Cause.UNDETERMINED)
         for finding in result.findings
     )
 
 
-def _estimated(problem: Problem, sight: tuple[Finding, ...]) -> Result:
+def _estimated(problem: Problem, sight: tuple[Finding, ...], starts: Sequence[Mapping[str, Value]]) -> Result:
     try:
         belief, model = problem.belief(), problem.model()
         every = np.ones(len(model), dtype=np.bool_)
-        minima, reason = descents(problem, model, problem.starts(), every)
+        minima, reason = descents(problem, model, starts, every)
     except EstimationError as error:
         return refused(problem.task, sight, error)
     if not minima:
@@ -272,17 +286,23 @@ def descents(
     """Where the starts roll to on the rows `used` (m,), lowest cost first; why the last that failed did."""
     found: list[Minimum] = []
     reason = EstimationError("No start was found", "Measure from more and other directions")
-    belief = problem.rough()
+    belief, lowest = problem.rough(), np.inf
     for values in starts:
         chart = Chart(belief.started(values), model)
         try:
             fit = reweighted(chart, np.zeros(belief.size), used, _COARSE)
+            # One that is still on its way may be the same as another, and must not count as a second.
+            for _ in range(_MORE_DESCENTS):
+                if fit.converged or fit.costs[-1][-1] > AMBIGUOUS_RATIO * lowest:
+                    break
+                fit = reweighted(chart, fit.z, used, _COARSE)
         except EstimationError as error:
             reason = error
             continue
         reached = chart.at(fit.z)[0]
         settled = problem.settled({name: reached[name] for name in values})
         found.append(Minimum(fit.costs[-1][-1], settled))
+        lowest = min(lowest, found[-1].cost)
     return sorted(found, key=lambda minimum: minimum.cost), reason
 
 

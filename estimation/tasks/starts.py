@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from estimation.transform import FloatArray, Transform
 
 _RIDGE: Final = 1e-9  # of the mean diagonal: unknowns that these data do not see stay at zero
-_SPHERE_STEPS: Final = 6
 SMALLEST_GAP_RAD: Final = np.deg2rad(20.0)  # two starts closer than this roll into the same minimum
 
 
@@ -38,7 +37,7 @@ def directions(count: int = 256) -> FloatArray:
 
 def on_planes(
     pose: FloatArray, sensor_p: FloatArray, normal: FloatArray, offset_m: FloatArray, grid: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Starts from readings on planes of an object.
 
     Parameters
@@ -50,7 +49,7 @@ def on_planes(
 
     Returns
     -------
-    near_T_sensor (g, 4, 4), far_T_object (g, 4, 4) and the root mean square distance (g,), m.
+    near_T_sensor (g, 4, 4), far_T_object (g, 4, 4).
     """
     far_n = np.einsum("gij,mj->gmi", grid, normal)
     near_n = np.einsum("gmi,mij->gmj", far_n, pose[:, :3, :3])
@@ -68,8 +67,7 @@ def on_planes(
     remaining = target - np.einsum("gmi,gmi->gm", near_n, turned)
     design = np.concatenate([near_n, -far_n], axis=2)
     origins = least_squares(design, remaining)
-    residual = np.einsum("gmk,gk->gm", design, origins) - remaining
-    return _poses(mount, origins[:, :3]), _poses(grid, origins[:, 3:]), _rms(residual)
+    return _poses(mount, origins[:, :3]), _poses(grid, origins[:, 3:])
 
 
 def on_points(
@@ -77,8 +75,8 @@ def on_points(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Starts from readings of known points of an object; `grid` (g, 3, 3) are rotations of the sensor.
 
-    marker_p (m, 3) in the object; others as in `on_planes`. With one marker only, the object's frame
-    has no rotation and its origin is where the marker is.
+    marker_p (m, 3) in the object; others as in `on_planes`. With one marker only, the object's frame has no
+    rotation and its origin is where the marker is. Returns the root mean square distance (g,), m, as well.
     """
     count, rows = len(grid), len(pose)
     turned = np.einsum("mij,gjk,mk->gmi", pose[:, :3, :3], grid, sensor_p)
@@ -108,45 +106,6 @@ def on_points(
     return _poses(grid, solution[:, :3]), _poses(holder, centre), _rms(residual)
 
 
-def on_sphere(
-    pose: FloatArray, sensor_p: FloatArray, radius_m: float | None, grid: FloatArray, toward: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Starts from readings on one sphere; as `on_points`, and the radius (g,) of each.
-
-    `toward` (3,) is the direction in the sensor in which the centre lies behind the surface (zeros if
-    unknown). First the sphere is taken for a point, then a few Gauss-Newton steps on the true
-    distance follow, for all of the grid at once.
-    """
-    first_m = radius_m if radius_m is not None else 0.01
-    mount, centre, _ = on_points(pose, sensor_p + first_m * toward, np.zeros_like(sensor_p), grid)
-    origin, middle, radius = mount[:, :3, 3], centre[:, :3, 3], np.full(len(grid), first_m)
-    turned = np.einsum("gij,mj->gmi", grid, sensor_p)
-    near = pose[:, :3, :3]
-    for _ in range(_SPHERE_STEPS + 1):
-        far_p = np.einsum("mij,gmj->gmi", near, turned + origin[:, None]) + pose[:, :3, 3]
-        arm = far_p - middle[:, None]
-        length = np.maximum(np.linalg.norm(arm, axis=2), 1e-9)
-        residual = length - radius[:, None]
-        unit = arm / length[:, :, None]
-        parts = [np.einsum("gmi,mij->gmj", unit, near), -unit]
-        if radius_m is None:
-            parts.append(np.full((*unit.shape[:2], 1), -1.0))
-        step = least_squares(np.concatenate(parts, axis=2), -residual)
-        # A step longer than the sphere is wide has left the range where it is true.
-        step *= np.minimum(1.0, 2.0 * radius / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
-        last = (origin, middle, radius)
-        origin, middle = origin + step[:, :3], middle + step[:, 3:6]
-        if radius_m is None:
-            radius = np.maximum(radius + step[:, 6], 1e-4)
-    origin, middle, radius = last
-    return (
-        _poses(grid, origin),
-        _poses(np.broadcast_to(np.eye(3), grid.shape), middle),
-        radius,
-        _rms(residual),
-    )
-
-
 def spun(frame: Transform) -> Transform:
     """The frame with its x axis turned about its z axis, to where only z decides."""
     matrix = frame.matrix.copy()
@@ -169,12 +128,20 @@ def facing(plane: Transform, front_p: FloatArray, spot_p: FloatArray) -> Transfo
     return spun(Transform(plane.target, plane.source, matrix))
 
 
-def best(cost: FloatArray, *turns: FloatArray, count: int = 6) -> list[int]:
-    """Places of the lowest costs whose rotations (g, 3, 3), any of `turns`, are not close to a better one."""
+def best(
+    cost: FloatArray, *turns: FloatArray, count: int = 6, apart_rad: float = SMALLEST_GAP_RAD
+) -> list[int]:
+    """Places of the lowest costs whose rotations (g, 3, 3), any of `turns`, are not close to a better one.
+
+    Of what has no spin, give (g, 3, 1): the z axes. Without any rotation all count as different.
+    """
     chosen: list[int] = []
+    nearest = [np.cos(apart_rad) if turn.shape[2] == 1 else 1.0 + 2.0 * np.cos(apart_rad) for turn in turns]
     for place in np.argsort(cost, kind="stable").tolist():
-        apart = [max(_angle(turn[place], turn[other]) for turn in turns) for other in chosen]
-        if all(gap > SMALLEST_GAP_RAD for gap in apart):
+        close = np.full(len(chosen), bool(turns))
+        for turn, limit in zip(turns, nearest, strict=True):
+            close &= np.einsum("cij,ij->c", turn[chosen], turn[place]) > limit
+        if not close.any():
             chosen.append(place)
         if len(chosen) == count:
             break
@@ -234,7 +201,3 @@ def _poses(rotation: FloatArray, origin: FloatArray) -> FloatArray:
 
 def _rms(residual: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(residual**2, axis=1)))
-
-
-def _angle(one: FloatArray, other: FloatArray) -> float:
-    return float(np.arccos(np.clip((np.trace(one.T @ other) - 1.0) / 2.0, -1.0, 1.0)))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.estimation.tasks.cells import DEG, FloatArray
+from tests.estimation.tasks.layout import DEG, FloatArray
 from tests.estimation.tasks.pair_cells import pose_pairs
 
 RECORDED = Path(__file__).parents[1] / "data" / "opencv_hand_eye.json"

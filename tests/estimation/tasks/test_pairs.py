@@ -20,14 +20,13 @@ from estimation.tasks.solve import solve
 from estimation.transform import FloatArray
 from tests.estimation.tasks import opencv
 from tests.estimation.tasks.cells import Cell
+from tests.estimation.tasks.layout import USUAL, anywhere, reported
 from tests.estimation.tasks.pair_cells import (
     SENSOR_STD,
-    anywhere,
     move_pairs,
     noisy,
     pose_pairs,
     pose_pairs_beside,
-    reported,
     views,
 )
 from tests.estimation.tasks.test_tasks import causes, normalised_error
@@ -47,7 +46,7 @@ def by_name(flange: FloatArray, seen: FloatArray) -> dict[str, list[FloatArray]]
 
 def test_closed_forms_find_the_truth_from_exact_data() -> None:
     rng = np.random.default_rng(0)
-    mount, holder, seen = anywhere(rng), anywhere(rng), views(rng, 12, spin_deg=180.0)
+    mount, holder, seen = anywhere(rng), anywhere(rng), views(rng, USUAL, 12, spin_deg=180.0)
     flange = holder @ seen @ np.linalg.inv(mount)
     for pairs in (closed_forms.every_pair(12), closed_forms.consecutive(12)):
         moves = closed_forms.moves(flange, pairs), closed_forms.moves(seen, pairs)

@@ -9,7 +9,6 @@ import numpy as np
 from estimation.tasks.two_robots import TwoRobots
 from estimation.transform import Transform
 from tests.estimation.tasks.cells import (
-    DEG,
     MM,
     Cell,
     FloatArray,
@@ -18,6 +17,7 @@ from tests.estimation.tasks.cells import (
     point_laser_planes,
     touch_planes,
 )
+from tests.estimation.tasks.layout import DEG
 from tests.estimation.tasks.pair_cells import pose_pairs
 from tests.estimation.twin import pose
 

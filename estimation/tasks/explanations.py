@@ -1,0 +1,61 @@
+"""Which common mistake explains data that do not fit: undone, their residuals are what was declared."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from estimation.belief import Value
+from estimation.errors import EstimationError
+from estimation.fitting import row_variance
+from estimation.model import values_of
+from estimation.tasks.findings import Finding
+
+if TYPE_CHECKING:
+    from estimation.tasks.solve import Problem
+
+_BETTER: Final = np.log(1.5)  # that an explanation must be less surprising, to be looked at
+_MOST: Final = 3  # explanations that are estimated in full
+_MEDIAN_SQUARE: Final = 0.455  # of a standard normal variable
+
+
+def explained(
+    problem: "Problem", starts: Sequence[Mapping[str, Value]], holds: Callable[["Problem"], bool]
+) -> Finding | None:
+    """The mistake that, undone, makes the data hold; None if there is none.
+
+    All mistakes that the problem knows of are compared at their starts, which is cheap; only the few that are
+    less surprising than the problem itself are tried in full.
+    """
+    surprise, found = _surprise_at(problem, starts), []
+    for finding, other in problem.explanations():
+        if not any(each.refuses for each in other.check()):
+            undone = _surprise(other)
+            if undone < surprise - _BETTER:
+                found.append((undone, finding, other))
+    found.sort(key=lambda each: each[0])
+    return next((finding for _, finding, other in found[:_MOST] if holds(other)), None)
+
+
+def _surprise_at(problem: "Problem", starts: Sequence[Mapping[str, Value]]) -> float:
+    """How far residuals are from the declared noise at the most promising start; infinite without one.
+
+    |ln| of the median of their squares over what it is for honest ones: a median, so that a few outliers do
+    not hide that all others fit, and both ways, because data that are taken for too small always fit.
+    """
+    if not starts:
+        return np.inf
+    try:
+        values = {**values_of(problem.rough()), **starts[0]}
+        rows = problem.model().weighed_at(values).rows(values)
+    except EstimationError:
+        return np.inf
+    median = float(np.median(rows.residual_m**2 / row_variance(rows)))
+    return float(abs(np.log(median / _MEDIAN_SQUARE))) if np.isfinite(median) and median > 0.0 else np.inf
+
+
+def _surprise(problem: "Problem") -> float:
+    try:
+        return _surprise_at(problem, problem.starts())
+    except EstimationError:
+        return np.inf
