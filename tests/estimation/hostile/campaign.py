@@ -43,7 +43,7 @@ def sound(draws: int, first: int = 0, names: Sequence[str] = tuple(ALL)) -> list
 
 
 def _hostile(kind: Kind, task: str, seed: int) -> Draw:
-    rng = np.random.default_rng([seed, list(Cause).index(kind.cause)])
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
     problem = kind.draw(task, rng)
     result, seconds, wrong = _solved(problem)
     causes = tuple(finding.cause for finding in result.findings)
