@@ -8,7 +8,6 @@ is therefore that of the values, not of the clock.
 """
 
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -18,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.simulated import simulated_device
 from drivers.clock import RealClock
 from drivers.links.serial_port import SerialLink
 from drivers.sensors.optoncdt import LaserConfig, OptoncdtLaser
@@ -58,18 +58,8 @@ def stream(duration_s: float) -> Stream:
     """Read so many seconds of stream, a second at a time and without a gap."""
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "laser"
-        command = [sys.executable, "-m", "simulators", "--device", "optoncdt-1420", "--port", str(port)]
-        for key, value in SETTINGS.items():
-            command += ["--set", f"{key}={value}"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
-            try:
-                assert simulator.stdout is not None
-                while simulator.stdout.readline() != "ready\n":
-                    if simulator.poll() is not None:
-                        raise RuntimeError("The simulated laser has not started")
-                return _read(port, round(duration_s))
-            finally:
-                simulator.terminate()
+        with simulated_device("optoncdt-1420", port, SETTINGS):
+            return _read(port, round(duration_s))
 
 
 def _read(port: Path, seconds: int) -> Stream:

@@ -154,6 +154,8 @@ class SerialOutlet:
         return self._device.next_output_s() if self.plugged else math.inf
 
     def serve(self, time_s: float) -> None:
+        if self.plugged:
+            self.port.stay_settable()
         if self._device.next_output_s() > time_s:
             return
         if not self.plugged:

@@ -5,12 +5,14 @@ import fcntl
 import os
 import socket
 import struct
+import termios
 import tty
 from pathlib import Path
 from typing import Final
 
 TCGETS2: Final = 0x802C542A
 READ_BYTES: Final = 65536
+LOCAL_FLAGS: Final = 3  # where `tcgetattr` has them
 
 
 class PtyPort:
@@ -65,6 +67,17 @@ class PtyPort:
             written = 0
         self.lost_bytes += len(data) - written
         return written > 0
+
+    def stay_settable(self) -> None:
+        """Let a client that asks for parity open the port again.
+
+        A pseudo-terminal has no parity, and the C library refuses settings that change nothing. So there is
+        always something to change: a flag that raw lines clear, and that means nothing without echo.
+        """
+        settings = termios.tcgetattr(self._slave)
+        if not settings[LOCAL_FLAGS] & termios.ECHOE:
+            settings[LOCAL_FLAGS] |= termios.ECHOE
+            termios.tcsetattr(self._slave, termios.TCSANOW, settings)
 
     def client_baud(self) -> int:
         """The line speed that the client has set."""

@@ -1,5 +1,9 @@
 """Clients that others wrote read right values from our simulated sensors, over real ports."""
 
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import canopen
@@ -7,12 +11,14 @@ import minimalmodbus
 import numpy as np
 import pytest
 import serial
+from canopen.profiles.p402 import BaseNode402
 from pyModbusTCP.client import ModbusClient
 
 from estimation.transform import FloatArray
 from simulators.modbus_server import ModbusConnection
 from simulators.probes.adam6052 import Adam6052
 from simulators.probes.wago750 import Wago750, WagoSpec
+from simulators.registry import device_kind
 from simulators.sensors.ams335i import Ams335i, AmsSpec
 from simulators.sensors.ft300 import Ft300, Ft300Spec
 from simulators.sensors.gocator import Gocator, GocatorSpec
@@ -24,18 +30,34 @@ from tests.support.wires import on_serial_port, on_tcp_port
 pytestmark = pytest.mark.wire
 
 
-U8, U16, U32 = 0x05, 0x06, 0x07
+I8, I16, I32, U8, U16, U32, TEXT = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x09
 OBJECTS = {  # what the library must be told of a device
     0x1000: [U32],
-    0x1008: [0x09],
+    0x1008: [TEXT],
+    0x100A: [TEXT],
     0x1017: [U16],
     0x1018: [U8, U32, U32, U32, U32],
     0x6005: [U8],
     0x6000: [U8, U8],
-    0x6004: [0x04],
+    0x6004: [I32],
     0x2060: [U8, U32],
-    **{0x1800 + n: [U8, U32, U8, U16, U8, U16] for n in range(2)},
-    **{0x1A00 + n: [U8] + [U32] * 8 for n in range(2)},
+    0x6040: [U16],
+    0x6041: [U16],
+    0x6042: [I16],
+    0x6060: [I8],
+    0x6061: [I8],
+    0x6064: [I32],
+    0x606B: [I32],
+    0x606C: [I32],
+    0x607A: [I32],
+    0x6081: [U32],
+    0x6099: [U32],
+    0x60C1: [U8, I32],
+    0x6502: [U32],
+    **{0x1400 + n: [U8, U32, U8, U16, U8, U16] for n in range(2)},
+    **{0x1600 + n: [U8] + [U32] * 8 for n in range(2)},
+    **{0x1800 + n: [U8, U32, U8, U16, U8, U16] for n in range(4)},
+    **{0x1A00 + n: [U8] + [U32] * 8 for n in range(4)},
 }
 
 
@@ -96,7 +118,9 @@ def test_minimalmodbus_reads_and_sets_the_riftek_laser(tmp_path: Path) -> None:
         client.serial.close()
 
 
-def canopen_node(path: Path, node: int) -> canopen.RemoteNode:
+def canopen_node(
+    path: Path, node: int, kind: type[canopen.RemoteNode] = canopen.RemoteNode
+) -> canopen.RemoteNode:
     network = canopen.Network()
     network.connect(interface="slcan", channel=str(path), bitrate=1_000_000, sleep_after_open=0.0)
     dictionary = canopen.ObjectDictionary()
@@ -110,7 +134,9 @@ def canopen_node(path: Path, node: int) -> canopen.RemoteNode:
             dictionary.add_object(record[0])
         else:
             dictionary.add_object(record)
-    return network.add_node(node, dictionary)
+    made = kind(node, dictionary)
+    made.sdo.RESPONSE_TIMEOUT = 3.0
+    return network.add_node(made)
 
 
 def test_canopen_reads_the_io_station_and_follows_its_events(tmp_path: Path) -> None:
@@ -153,6 +179,81 @@ def test_canopen_reads_the_distance_laser(tmp_path: Path) -> None:
         assert node.tpdo[2].wait_for_reception(5.0)
         assert [variable.raw for variable in node.tpdo[2].map] == [1000, 0]
         node.network.disconnect()
+
+
+def test_canopen_moves_a_joint_of_the_arm(tmp_path: Path) -> None:
+    """BaseNode402, with the PDOs that the drive has by itself and the state machine of the library."""
+    arm = device_kind("canopen-402").simulated().model
+    with on_serial_port(tmp_path / "can", SlcanDevice(arm), update=arm.advance):
+        node = canopen_node(tmp_path / "can", 5, BaseNode402)
+        assert node.sdo[0x1008].raw == "PRBT" and node.sdo[0x100A].raw.endswith("simulated")
+        with pytest.raises(canopen.SdoAbortedError) as aborted:
+            _ = node.sdo[0x6099].raw  # it has no homing
+        assert aborted.value.code == 0x06020000
+        node.nmt.state = "PRE-OPERATIONAL"
+        node.setup_402_state_machine()
+        assert [variable.index for variable in node.rpdo[1].map] == [0x6040, 0x6042, 0x60C1]
+        node.network.sync.start(0.01)
+        node.rpdo[1].start(0.01)
+        try:
+            node.nmt.state = "OPERATIONAL"
+            wait_for(lambda: node.state == "SWITCH ON DISABLED")
+            node.op_mode = "PROFILED POSITION"
+            assert node.is_op_mode_supported("INTERPOLATED POSITION") and node.op_mode == "PROFILED POSITION"
+            node.state = "OPERATION ENABLED"
+            node.sdo[0x6081].raw = 60_000
+            node.sdo[0x607A].raw = 20_000
+            node.controlword = 0x1F
+            wait_for(lambda: node.statusword & 0x1000)
+            node.controlword = 0x0F
+            wait_for(lambda: node.statusword & 0x1400 == 0x400)
+            assert node.sdo[0x6064].raw == pytest.approx(20_000, abs=10)
+            node.sdo[0x1017].raw = 50
+            assert node.nmt.wait_for_heartbeat(5.0) == "OPERATIONAL"
+            node.state = "SWITCH ON DISABLED"
+        finally:
+            node.rpdo[1].stop()
+            node.network.sync.stop()
+            node.network.disconnect()
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    """The device lives in another thread."""
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline, "not within the time"
+        time.sleep(0.005)
+
+
+def test_pymodbustcp_reads_the_robot_controller() -> None:
+    with on_tcp_port(device_kind("igus-irc").simulated().connect[""]) as port:
+        client = ModbusClient("127.0.0.1", port, timeout=10.0)
+        assert client.read_input_registers(0, 4) == [902, 13, 2, 1]
+        assert client.read_holding_registers(187, 1) == [10_000]
+        assert client.write_single_register(187, 5_000) and client.read_holding_registers(187, 1) == [5_000]
+        assert client.read_holding_registers(299, 1) is None and client.last_except == 2
+        client.close()
+
+
+def test_a_dashboard_client_reads_the_robot_controller() -> None:
+    """That of ur_rtde; its port is fixed, so the address is one of our own."""
+    with on_tcp_port(device_kind("ur").simulated().connect["dashboard"], "127.83.17.5", 29999):
+        told = subprocess.run(
+            [sys.executable, "-c", DASHBOARD, "127.83.17.5"],
+            capture_output=True, text=True, timeout=60, check=True,
+        ).stdout.splitlines()  # fmt: skip
+    assert told == ["5.11.1.108318", "20235500123", "UR5", "POWER_OFF", "NORMAL", "False", "True"]
+
+
+DASHBOARD = """
+import sys
+from dashboard_client import DashboardClient
+client = DashboardClient(sys.argv[1])
+client.connect()
+print(client.polyscopeVersion(), client.getSerialNumber(), client.getRobotModel(), sep="\\n")
+print(client.robotmode().split()[-1], client.safetymode().split()[-1], sep="\\n")
+print(client.running(), client.isInRemoteControl(), sep="\\n")
+"""
 
 
 def test_pymodbustcp_reads_the_profiler() -> None:

@@ -5,6 +5,7 @@ Actions happen on a rising edge of a coil; nothing is queued; positions come in 
 """
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -149,7 +150,9 @@ class IgusRobot(ControlledArm):
         words[95] = self._kinematic_error
         joints = self.measured(time_s)
         pose = self.pose_of(joints)
-        angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz", degrees=True)
+        with warnings.catch_warnings():  # of gimbal lock: the controller shows one of the possible triples
+            warnings.simplefilter("ignore", UserWarning)
+            angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz", degrees=True)
         words[130:142] = _words([*(pose[:3, 3] * 1e5), *(angles * 100)])
         words[142:154] = _words(list(np.degrees(joints) * 100))
         return words

@@ -188,6 +188,8 @@ class UrRobot(ControlledArm):
                 return f"Robotmode: {MODE_NAMES[state.mode]}"
             case "safetystatus":
                 return f"Safetystatus: {SAFETY_NAMES[state.safety]}"
+            case "safetymode":
+                return f"Safetymode: {SAFETY_NAMES[state.safety]}"
             case "get robot model":
                 return settings.model
             case "get serial number":

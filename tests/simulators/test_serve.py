@@ -12,16 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import can
-import canopen
 import pytest
 import serial
-from canopen.objectdictionary import ODRecord, ODVariable, datatypes
-from canopen.profiles.p402 import BaseNode402
 from pymodbus.client import ModbusTcpClient
 
 from controller.demo_cell import copy_bench_block
-from simulators.ports import garbled
+from simulators.ports import PtyPort, garbled
 from simulators.slcan import SlcanDongle
 
 pytestmark = pytest.mark.wire
@@ -64,108 +60,6 @@ def simulator(home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     simulator = Simulator(home, tmp_path_factory.mktemp("run"), "--motion-speed", "20")
     yield simulator
     assert simulator.end() == 0
-
-
-def dictionary() -> canopen.ObjectDictionary:
-    """As much of the drive's dictionary as an independent CiA 402 client needs."""
-    od = canopen.ObjectDictionary()
-
-    def variable(index: int, sub: int, name: str, kind: int) -> ODVariable:
-        item = ODVariable(name, index, sub)
-        item.data_type = kind
-        return item
-
-    for index, kind in (
-        (0x6040, datatypes.UNSIGNED16),
-        (0x6041, datatypes.UNSIGNED16),
-        (0x6060, datatypes.INTEGER8),
-        (0x6061, datatypes.INTEGER8),
-        (0x6064, datatypes.INTEGER32),
-        (0x607A, datatypes.INTEGER32),
-        (0x6081, datatypes.UNSIGNED32),
-        (0x6083, datatypes.UNSIGNED32),
-        (0x6502, datatypes.UNSIGNED32),
-        (0x1008, datatypes.VISIBLE_STRING),
-        (0x100A, datatypes.VISIBLE_STRING),
-        (0x1017, datatypes.UNSIGNED16),
-        (0x6099, datatypes.UNSIGNED32),
-    ):
-        od.add_object(variable(index, 0, f"{index:04X}", kind))
-    for base, count in ((0x1400, 2), (0x1800, 4)):
-        for index in range(base, base + count):
-            record = ODRecord(f"pdo {index:04X}", index)
-            for sub, kind in (
-                (0, datatypes.UNSIGNED8),
-                (1, datatypes.UNSIGNED32),
-                (2, datatypes.UNSIGNED8),
-                (3, datatypes.UNSIGNED16),
-                (5, datatypes.UNSIGNED16),
-            ):
-                record.add_member(variable(index, sub, f"sub {sub}", kind))
-            od.add_object(record)
-            mapping = ODRecord(f"map {index:04X}", index + 0x200)
-            mapping.add_member(variable(index + 0x200, 0, "count", datatypes.UNSIGNED8))
-            for sub in range(1, 9):
-                mapping.add_member(variable(index + 0x200, sub, f"object {sub}", datatypes.UNSIGNED32))
-            od.add_object(mapping)
-    return od
-
-
-@pytest.fixture
-def network(simulator: Simulator) -> Iterator[canopen.Network]:
-    bus = can.Bus(interface="slcan", channel=simulator.robot, bitrate=1_000_000, sleep_after_open=0)
-    network = canopen.Network(bus)
-    network.connect()
-    yield network
-    network.disconnect()
-
-
-def wait_for(condition: Any, timeout_s: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "not within the time"
-        time.sleep(0.005)  # another process works meanwhile
-
-
-def test_an_independent_master_drives_a_joint(simulator: Simulator, network: canopen.Network) -> None:
-    node = BaseNode402(3, dictionary())
-    network.add_node(node)
-    node.sdo.RESPONSE_TIMEOUT = 3.0
-    assert node.sdo[0x1008].raw == "PRBT"
-    assert node.sdo[0x100A].raw.endswith("simulated")
-    with pytest.raises(canopen.SdoAbortedError) as aborted:
-        _ = node.sdo[0x6099].raw
-    assert aborted.value.code == 0x06020000
-    node.tpdo.read()
-    node.rpdo.read()
-    position = node.tpdo[3]
-    position.clear()
-    position.add_variable(0x6041)
-    position.add_variable(0x6064)
-    position.enabled = True
-    position.save()
-    network.sync.start(0.01)
-    node.nmt.state = "OPERATIONAL"
-    try:
-        node.sdo[0x6060].raw = 1
-        for word, state in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
-            node.sdo[0x6040].raw = word
-            wait_for(lambda state=state: node.sdo[0x6041].raw & 0x6F == state)
-        node.sdo[0x607A].raw = 30_000
-        node.sdo[0x6081].raw = 60_000
-        node.sdo[0x6040].raw = 0x1F
-        wait_for(lambda: node.sdo[0x6041].raw & 0x1000)
-        node.sdo[0x6040].raw = 0x0F
-        wait_for(lambda: node.sdo[0x6041].raw & 0x400)
-        assert position.wait_for_reception(timeout=3.0) is not None
-        wait_for(lambda: abs(position[0x6064].raw - 30_000) <= 10)
-        assert simulator.control(do="status")["joints_rad"][0] == pytest.approx(0.5236, abs=1e-3)
-        node.sdo[0x1017].raw = 50
-        assert node.nmt.wait_for_heartbeat(timeout=3.0) == "OPERATIONAL"
-    finally:
-        network.sync.stop()
-        node.sdo[0x1017].raw = 0
-        node.sdo[0x6040].raw = 0
 
 
 def read_until(port: serial.Serial, end: bytes, timeout_s: float = 5.0) -> bytes:
@@ -287,6 +181,14 @@ def test_it_ends_cleanly_and_a_scenario_must_exist(simulator: Simulator, tmp_pat
     ]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2 and "No scenario 'x'" in refused.stderr
+
+
+def test_a_client_that_asks_for_parity_can_open_the_port_again(tmp_path: Path) -> None:
+    port = PtyPort(tmp_path / "laser")
+    for _ in range(3):
+        port.stay_settable()
+        serial.Serial(str(port.path), 9600, parity=serial.PARITY_EVEN).close()
+    port.unplug()
 
 
 # -- the dongle by itself ------------------------------------------------------------------------

@@ -22,19 +22,22 @@ def _served(loop: Loop) -> Iterator[None]:
 
 @contextlib.contextmanager
 def on_serial_port(
-    path: Path, device: ByteDevice, baud: Callable[[], int] | None = None
+    path: Path,
+    device: ByteDevice,
+    baud: Callable[[], int] | None = None,
+    update: Callable[[float], None] = lambda time_s: None,
 ) -> Iterator[SerialOutlet]:
     """The device behind a pseudo-terminal; a client at another line speed sees garbage."""
-    loop = Loop()
+    loop = Loop(update)
     outlet = SerialOutlet(loop, path, lambda: device, baud)
     with _served(loop):
         yield outlet
 
 
 @contextlib.contextmanager
-def on_tcp_port(connect: Callable[[], ByteDevice]) -> Iterator[int]:
-    """The device behind a TCP port of this computer. Yields its number."""
+def on_tcp_port(connect: Callable[[], ByteDevice], host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
+    """The device behind a TCP port of this computer, 0 being any free one. Yields its number."""
     loop = Loop()
-    outlet = TcpOutlet(loop, "127.0.0.1", 0, connect)
+    outlet = TcpOutlet(loop, host, port, connect)
     with _served(loop):
         yield outlet.port.port
