@@ -16,4 +16,5 @@ def make_devices(cell: Cell, ports: Ports, clock: Clock, *, keep_alive_thread: b
         make_laser(cell.laser, ports, clock, patience),
         make_probe(cell.probe, ports, clock, patience),
         ports.searches,
+        ports.statistics,
     )

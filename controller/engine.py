@@ -155,17 +155,14 @@ class Engine:
     def status(self) -> dict[str, Any]:
         """A snapshot for console, page and scripts."""
         state = self._machine.state
-        devices = {}
-        if self._connected:
-            named = {"robot": self._devices.robot, "laser": self._devices.laser, "probe": self._devices.probe}
-            devices = {name: asdict(device.health()) for name, device in named.items()}
+        counters = self._devices.counters() if self._connected else {"devices": {}, "links": {}}
         return {
             "state": state.value,
             "state_no": state.number,
             "allowed": [command.value for command in self._machine.allowed()],
             "message": self._message,
             "fault": None if self._fault is None else asdict(self._fault),
-            "devices": devices,
+            **counters,
             **self._job.status(),
         }
 

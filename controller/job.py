@@ -23,7 +23,7 @@ from controller.phases.reference import reference_excess
 from controller.planning.feasibility import refuse_impossible_limits
 from controller.planning.steps import Step
 from controller.samples import Sample
-from controller.store import Result, Run, Store
+from controller.store import LINKS_EVENT, Result, Run, Store
 from drivers.capabilities import Devices
 from drivers.clock import Clock
 from estimation.belief import Belief
@@ -122,13 +122,21 @@ class CellJob:
         """Close the run with the verdict of all its phases."""
         self._acquisition.park()
         outcome = self.outcome().value
+        self._record_links()
         self._store.close_run(self.run.id, outcome)
         self._tell(phase=None, activity="completed", outcome=outcome)
 
     def end(self, state: str) -> None:
         if self._run is not None:
+            self._record_links()
             self._store.close_run(self._run.id, state)
             self._run = None
+
+    def _record_links(self) -> None:
+        """What the links have seen since the daemon began, with the run that ends now."""
+        self._store.event(
+            LINKS_EVENT, f"Links of run {self.run.id}", run=self.run.id, **self._devices.counters()
+        )
 
     def status(self) -> dict[str, Any]:
         run = self._run

@@ -4,11 +4,12 @@ Values carry the time they belong to, on the driver's clock. There is no last-va
 a driver answers with a value newer than the question, or raises.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Protocol
+from typing import Any, Protocol
 
+from drivers.links.meter import LinkStatistics
 from estimation.transform import FloatArray, Transform
 
 
@@ -216,12 +217,16 @@ class Search(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """The devices of one cell by role; `searches` are of those roles that must be looked for."""
+    """The devices of one cell by role; `searches` are of those roles that must be looked for.
+
+    `statistics` tells what each of their links has seen, by its name.
+    """
 
     robot: Robot
     laser: RangeSensor
     probe: TouchProbe
     searches: Mapping[str, Search] = field(default_factory=dict)
+    statistics: Callable[[], Mapping[str, LinkStatistics]] = dict
 
     def connect(self, device: Device) -> Identity:
         """Connect one of the devices, where it is or wherever it is found. Raises DeviceError."""
@@ -233,3 +238,14 @@ class Devices:
     def all(self) -> Sequence[Device]:
         """In the order in which they are connected."""
         return (self.robot, self.laser, self.probe)
+
+    def by_role(self) -> Mapping[str, Device]:
+        """In the same order, by name."""
+        return {"robot": self.robot, "laser": self.laser, "probe": self.probe}
+
+    def counters(self) -> dict[str, dict[str, Any]]:
+        """`devices`: what each driver has counted; `links`: what each link has seen."""
+        return {
+            "devices": {role: asdict(device.health()) for role, device in self.by_role().items()},
+            "links": {name: asdict(seen) for name, seen in self.statistics().items()},
+        }

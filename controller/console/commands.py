@@ -106,16 +106,25 @@ def _waiting_command(name: str) -> Callable[..., None]:
     return give
 
 
-def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+def status(
+    links: Annotated[
+        bool, typer.Option("--links", help="Show instead how each link does: frames, faults, answer times.")
+    ] = False,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Show state, job, fault and links of the cell.
 
-    Example: truecell status
+    Example: truecell status --links
     """
     from controller.console import show
 
     with options.daemon(socket) as client:
         answer = client.get("/status")
-    options.print_json(answer) if as_json else show.console().print(show.status_table(answer))
+    if as_json:
+        options.print_json(answer)
+    else:
+        show.console().print((show.links_table if links else show.status_table)(answer))
 
 
 def watch(

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from controller.console import options
+from controller.console.devices import devices
 from controller.console.estimate import estimate
 from controller.console.exit_codes import ExitCode
 from controller.console.fit import fit
@@ -186,5 +187,6 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands above."""
     app.command()(demo)
     app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(simulate)
+    app.add_typer(devices, name="devices")
     for command in (check, plan, serve, verify, fit, estimate):
         app.command()(command)

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from controller.link_rows import COLUMNS, NOTE, link_rows
+
 _COLOURS: Final = {
     "OK": "green",
     "NotOK": "red",
@@ -74,6 +76,14 @@ def status_table(status: Mapping[str, Any]) -> Table:
     row("allowed", ", ".join(status.get("allowed") or []))
     for name, health in (status.get("devices") or {}).items():
         row(name, ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in health.items()))
+    return table
+
+
+def links_table(counters: Mapping[str, Any]) -> Table:
+    """What drivers and links have counted."""
+    table = Table(*COLUMNS, box=None, pad_edge=False, caption=NOTE, caption_justify="left")
+    for row in link_rows(counters):
+        table.add_row(*map(escape, row))
     return table
 
 

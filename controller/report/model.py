@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from controller.gates import worst
+from controller.link_rows import COLUMNS, NOTE, link_rows
 from controller.report import words
 from controller.report.phase_view import outcome_of, phase_of
 from controller.report.rounding import NOTHING
 from controller.report.view import Phase, Report, Table
-from controller.store.records import Event, Result, Run, Sample
+from controller.store.records import LINKS_EVENT, Event, Result, Run, Sample
 from estimation.statistics import Outcome
 
 SHORT = 12  # leading digits by which a table refers to a hash that is printed in full elsewhere
@@ -52,7 +53,13 @@ def report_of(records: Records, clock_utc_s: float) -> Report:
         phases=phases,
         provenance=tuple(
             table
-            for table in (_measurements(records), _results(results), _incidents(records), _artefacts(cell))
+            for table in (
+                _measurements(records),
+                _results(results),
+                _incidents(records),
+                _links(records),
+                _artefacts(cell),
+            )
             if table.rows
         ),
         fingerprints=_fingerprints(records),
@@ -257,6 +264,16 @@ def _incidents(records: Records) -> Table:
                 (words.utc(event.utc_s), event.kind, event.text, str(event.data.get("remedy") or NOTHING))
             )
     return Table("Faults, overrides and resumptions", ("Time", "Kind", "What", "Remedy"), tuple(rows))
+
+
+def _links(records: Records) -> Table:
+    """As recorded when the run ended last."""
+    run = records.run.id
+    told = [event.data for event in records.events if event.kind == LINKS_EVENT and event.data["run"] == run]
+    rows = tuple(link_rows(told[-1])) if told else ()
+    return Table(
+        "Links", COLUMNS, rows, tuple(range(1, len(COLUMNS))), note=f"Since the daemon began. {NOTE}"
+    )
 
 
 def _artefacts(cell: dict[str, Any]) -> Table:

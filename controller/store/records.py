@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Any
+from typing import Any, Final
 
 from estimation.errors import StoreError
 
@@ -18,6 +18,9 @@ class RecordNotFound(StoreError):
 
 class RecordRefused(StoreError):
     """The store is well, but this must not be recorded."""
+
+
+LINKS_EVENT: Final = "links"  # kind of the event with what the links have seen when a run ends
 
 
 @dataclass(frozen=True, slots=True)

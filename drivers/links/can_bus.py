@@ -17,6 +17,7 @@ from can.interfaces.slcan import slcanBus
 
 from drivers.clock import Clock, RealClock
 from drivers.links.interfaces import CanFrame
+from drivers.links.meter import LinkMeter, LinkStatistics
 from drivers.links.serial_port import opening_failed
 from estimation.errors import DeviceError
 
@@ -86,6 +87,12 @@ class PythonCanLink:
         self._bus: Any = None
         self._bad_frames = 0
         self._send_lock = threading.Lock()
+        self._meter = LinkMeter(self._clock.now_s)
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the bus has seen; a wait is cut to pieces here, so that nothing counts as late."""
+        return self._meter.statistics(self.port)
 
     @property
     def bad_frames(self) -> int:
@@ -98,7 +105,9 @@ class PythonCanLink:
         try:
             self._bus = self._open()
         except (can.CanError, OSError, ValueError) as error:
+            self._meter.broken()
             raise opening_failed(self.port, error) from error
+        self._meter.opened()
 
     def close(self) -> None:
         """Release the bus; safe twice."""
@@ -114,6 +123,7 @@ class PythonCanLink:
         try:
             with self._send_lock:
                 self._require().send(message, timeout=SEND_TIMEOUT_S)
+                self._meter.sent(1)
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
 
@@ -136,6 +146,7 @@ class PythonCanLink:
                         "Check termination, wiring and bit rate, then restart the interface and reset",
                     )
             elif not (message.is_remote_frame or message.is_extended_id):
+                self._meter.received(1, 0.0)
                 return (CanFrame(message.arbitration_id, bytes(message.data), self._clock.now_s()),)
 
     def _open(self) -> Any:
@@ -155,6 +166,7 @@ class PythonCanLink:
         return self._bus
 
     def _gone(self, error: Exception) -> DeviceError:
+        self._meter.broken()
         return DeviceError(
             f"CAN bus on {self.port} is gone ({error})",
             "Check the dongle, its cable and the power of the drives",

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from drivers.capabilities import Search
+from drivers.links.meter import LinkStatistics
 
 
 class ByteLink(Protocol):
@@ -63,6 +64,9 @@ class Ports(Protocol):
 
     `name` says what the link is for, such as "robot" or "laser"; two links of one device have two names.
     """
+
+    def statistics(self) -> Mapping[str, LinkStatistics]:
+        """What each link has seen, by its name; empty in the deterministic cell."""
 
     @property
     def searches(self) -> Mapping[str, Search]:

@@ -6,6 +6,7 @@ from typing import Final
 
 from drivers.clock import Clock
 from drivers.links.can_bus import PythonCanLink
+from drivers.links.meter import LinkStatistics
 from drivers.links.port_search import PortSearch, is_pattern
 from drivers.links.serial_port import SerialLink
 from drivers.links.tcp import TcpLink
@@ -22,24 +23,31 @@ class RealPorts:
     def __init__(self, directory: Path, clock: Clock) -> None:
         self._directory, self._clock = directory, clock
         self.searches = dict[str, PortSearch]()
+        self._links = dict[str, PythonCanLink | SerialLink | TcpLink]()
+
+    def statistics(self) -> dict[str, LinkStatistics]:
+        """What each link has seen, by its name."""
+        return {name: link.statistics for name, link in self._links.items()}
 
     def can_bus(self, name: str, interface: str, port: str, bitrate: int) -> PythonCanLink:
         """A CAN bus; a "socketcan" port is the name of an interface, not a path."""
-        if interface == "socketcan":
-            return PythonCanLink(interface, port, bitrate, self._clock)
-        link = PythonCanLink(interface, self._path(port), bitrate, self._clock)
-        self._search(name, link, port)
+        is_interface = interface == "socketcan"
+        link = PythonCanLink(interface, port if is_interface else self._path(port), bitrate, self._clock)
+        if not is_interface:
+            self._search(name, link, port)
+        self._links[name] = link
         return link
 
     def serial(self, name: str, port: str, baud: int, framing: str = "8N1") -> SerialLink:
         """A serial line."""
-        link = SerialLink(self._path(port), baud, framing)
+        self._links[name] = link = SerialLink(self._path(port), baud, framing)
         self._search(name, link, port)
         return link
 
     def tcp(self, name: str, host: str, port: int) -> TcpLink:
         """A TCP connection."""
-        return TcpLink(host, port)
+        self._links[name] = link = TcpLink(host, port)
+        return link
 
     def _path(self, port: str) -> str:
         """COM ports of Windows are names, everything else a path."""

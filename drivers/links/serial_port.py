@@ -5,10 +5,12 @@ import errno
 import os
 import select
 import threading
+import time
 from typing import Final
 
 import serial
 
+from drivers.links.meter import LinkMeter, LinkStatistics
 from estimation.errors import DeviceError
 
 try:
@@ -40,6 +42,12 @@ class SerialLink:
         self._arrived = threading.Condition()
         self._buffer = bytearray()
         self._failure: DeviceError | None = None
+        self._meter = LinkMeter(time.monotonic)
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the line has seen."""
+        return self._meter.statistics(self.port)
 
     def reopen(self) -> None:
         """Close and open again. Raises DeviceError naming the port and the remedy."""
@@ -57,12 +65,14 @@ class SerialLink:
                 exclusive=True,
             )
         except (*PORT_ERRORS, ValueError) as error:
+            self._meter.broken()
             raise opening_failed(self.port, error) from error
         if parity != "N":
             _check_parity(port)
         with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no such lines
             port.dtr = port.rts = True
         self._serial, self._failure = port, None
+        self._meter.opened()
         self._buffer.clear()
         self._reader = threading.Thread(
             target=self._receive, args=(port,), name=f"serial {self.port}", daemon=True
@@ -81,6 +91,7 @@ class SerialLink:
         """Send all bytes. Raises DeviceError if the port is gone or takes nothing."""
         try:
             self._require().write(data)
+            self._meter.sent(len(data))
         except serial.SerialTimeoutException as error:
             raise DeviceError(
                 f"Port {self.port} takes no data for {WRITE_TIMEOUT_S:g} s",
@@ -99,7 +110,8 @@ class SerialLink:
                 raise DeviceError(self._failure.problem, self._failure.remedy)
             data = bytes(self._buffer)
             self._buffer.clear()
-            return data
+        self._meter.received(len(data), timeout_s)
+        return data
 
     def discard_input(self) -> None:
         """Drop what was received."""
@@ -137,6 +149,7 @@ class SerialLink:
         return self._serial
 
     def _gone(self, error: Exception) -> DeviceError:
+        self._meter.broken()
         return DeviceError(
             f"Port {self.port} is gone ({error})", "Check the cable and the power of the device"
         )

@@ -157,7 +157,7 @@ class AbbController:
         )
 
     def connect(self) -> Identity:
-        """Identity; flange and base as tool and work object; every move ends at rest.
+        """Identity.
 
         Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch.
         """
@@ -174,10 +174,16 @@ class AbbController:
                     "Check host and port, or correct the cell file and calibrate again",
                 )
         self._connected = True
-        line.tell(codec.TOOL, codec.NOTHING)
-        line.tell(codec.WORK_OBJECT, codec.NOTHING)
-        line.tell(codec.ZONE, codec.FINE)
         return Identity(model, serial, version, (("decimals", str(config.decimals)),))
+
+    def enable(self) -> None:
+        """Flange and base as tool and work object; every move ends at rest."""
+        for code, values in (
+            (codec.TOOL, codec.NOTHING),
+            (codec.WORK_OBJECT, codec.NOTHING),
+            (codec.ZONE, codec.FINE),
+        ):
+            self._line.tell(code, values)
 
     def close(self) -> None:
         """Tell the server to wait for the next client; safe twice."""

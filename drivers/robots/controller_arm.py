@@ -61,7 +61,10 @@ class RobotController(Protocol):
         """What the protocol allows."""
 
     def connect(self) -> Identity:
-        """Open the links, compare the identity, take control, enable the motors; no motion."""
+        """Open the links and compare the identity; nothing of the robot is changed."""
+
+    def enable(self) -> None:
+        """Take control and enable the motors; no motion."""
 
     def close(self) -> None:
         """Give back control and release the links; safe twice."""
@@ -108,20 +111,27 @@ class ControllerArm:
         resolution_rad = controller.abilities.joint_resolution_rad
         self._apart_rad = NOISE_STEPS * resolution_rad + 6.0 * config.reading_noise_rad
         self._exchange = threading.RLock()  # one question at a time
-        self._stop_requested = self._stop_pending = self._halted = self._connected = False
+        self._stop_requested = self._stop_pending = self._halted = False
+        self._connected = self._enabled = False
 
     # --- Device --------------------------------------------------------------------------------------
 
     def connect(self) -> Identity:
-        """Open the links, compare the identity, enable the motors.
+        """Open the links, compare the identity, and unless a stop is requested enable the motors.
 
         Raises DeviceError, DeviceTimeout, IdentityMismatch.
         """
         with self._exchange:
-            self._connected = False
+            self._connected = self._enabled = False
             identity = self._controller.connect()
+            if not self._stop_requested:
+                self._enable()
             self._connected, self._halted = True, False
         return identity
+
+    def _enable(self) -> None:
+        self._controller.enable()
+        self._enabled = True
 
     def close(self) -> None:
         """Bring the arm to rest and release the links; safe twice."""
@@ -243,6 +253,8 @@ class ControllerArm:
         with self._asking():
             if self._stop_requested:
                 raise self._stopped()
+            if not self._enabled:
+                self._enable()
             if self._halted:
                 self._controller.recover()
                 self._halted = False

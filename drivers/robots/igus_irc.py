@@ -59,11 +59,15 @@ class IgusController:
         )
 
     def connect(self) -> Identity:
-        """Identity, errors reset, motors enabled. Raises DeviceError, DeviceTimeout, IdentityMismatch."""
+        """Identity. Raises DeviceError, DeviceTimeout, IdentityMismatch."""
         self._link.reopen()
         self._opened += 1
         self._modbus.reset()
         software, version = self._prove_identity()
+        return Identity(software, "", version, (("mapping", str(codec.MAPPING_VERSION)),))
+
+    def enable(self) -> None:
+        """Errors reset, motors enabled. Raises DeviceError, DeviceTimeout."""
         if not (self._coil(codec.MODULE_OK) and self._coil(codec.KINEMATICS_OK)):
             self._edge(codec.RESET)
         if not self._coil(codec.ENABLE):
@@ -79,7 +83,6 @@ class IgusController:
         if not self._coil(codec.REFERENCED):
             raise DeviceError("The robot is not referenced", "Reference it at its pendant, then reset")
         self._modbus.write_register(codec.OVERRIDE, 10_000)
-        return Identity(software, "", version, (("mapping", str(codec.MAPPING_VERSION)),))
 
     def close(self) -> None:
         """Release the connection; safe twice."""

@@ -175,12 +175,9 @@ class MelfaController:
         )
 
     def connect(self) -> Identity:
-        """Session, identity, operation right, errors reset, servo on.
-
-        Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch.
-        """
-        config, line = self._config, self._line
-        info = line.open()
+        """Sessions and identity. Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch."""
+        config = self._config
+        info = self._line.open()
         if config.model and config.model not in info.robot:
             raise IdentityMismatch(
                 f"The controller says it drives {info.robot!r}, the cell file {config.model!r}",
@@ -188,6 +185,11 @@ class MelfaController:
             )
         if self._stop_line is not None:
             self._stop_line.open()
+        return Identity(info.robot, info.serial_number, info.version, (("controller", info.controller),))
+
+    def enable(self) -> None:
+        """Operation right, errors reset, servo on. Raises DeviceError, DeviceTimeout, FrameError."""
+        config, line = self._config, self._line
         line.ask("CNTLON")
         self._holds_right = True
         if self._state().error:
@@ -204,7 +206,6 @@ class MelfaController:
                 )
             self._clock.sleep(0.1)
         line.ask("OVRD=100")
-        return Identity(info.robot, info.serial_number, info.version, (("controller", info.controller),))
 
     def close(self) -> None:
         """Give the right back and end the sessions; safe twice."""

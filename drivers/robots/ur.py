@@ -114,20 +114,23 @@ class UrController:
         )
 
     def connect(self) -> Identity:
-        """Identity, power, brakes; a program that does nothing proves that programs are taken.
-
-        Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch.
-        """
+        """Identity and state. Raises DeviceError, DeviceTimeout, FrameError, IdentityMismatch."""
         self._dashboard.open()
         identity = self._identify()
         self._rtde.open()
+        return identity
+
+    def enable(self) -> None:
+        """Power, brakes; a program that does nothing proves that programs are taken.
+
+        Raises DeviceError, DeviceTimeout, FrameError.
+        """
         self._release_brakes()
         self._watching = False
         self._number = self._rtde.fresh().package.begun
         self._run([codec.TCP_IS_FLANGE])
         while self.is_moving():
             pass
-        return identity
 
     def close(self) -> None:
         """Release the connections; safe twice. The motors stay on and hold the arm."""
@@ -145,7 +148,7 @@ class UrController:
         return received.time_s, received.package.joints_rad
 
     def read_pose(self) -> Transform:
-        """base_T_flange as the controller computes it; its tool is the flange since `connect`."""
+        """base_T_flange as the controller computes it; its tool is the flange since `enable`."""
         pose = self._fresh().package.base_T_tcp
         matrix = np.eye(4)
         matrix[:3, :3] = Rotation.from_rotvec(pose[3:]).as_matrix()

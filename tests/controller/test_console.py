@@ -189,6 +189,21 @@ def test_status_shows_fault_and_remedy(truecell: Terminal, cell: Cell) -> None:
     assert truecell("status --json").json["run"] == 3
 
 
+def test_links_are_shown_with_their_answer_times(truecell: Terminal, cell: Cell) -> None:
+    answers = [0, 0, 90, 9, 1, 0, 0, 0, 0, 0, 0]
+    laser = {
+        "port": "/dev/ttyUSB0", "opened": 2, "broken": 1, "sent": 800, "received": 9000, "late": 3,
+        "answers": answers, "longest_answer_s": 0.0173,
+    }  # fmt: skip
+    cell.engine.extra = {
+        "devices": {"laser": {"frames": 10, "bad_frames": 4, "timeouts": 2, "reconnects": 1}},
+        "links": {"laser": laser, "robot.stop": {**laser, "answers": [0] * 11}},
+    }
+    lines = [line.split() for line in truecell("status --links").out.splitlines()]
+    assert ["laser", "10", "4", "2", "1", "3", "5", "10", "17.3"] in lines
+    assert ["robot.stop", *"–" * 8] in lines
+
+
 def test_results_history_samples_and_report(truecell: Terminal, cell: Cell) -> None:
     assert truecell("results").out == "No results yet.\n"
     assert truecell("results --exit-code").code == ExitCode.FAULT

@@ -13,7 +13,7 @@ from lxml import html as lxml_html
 from controller.report import ReportPaths, write_report
 from controller.report.model import Records, report_of
 from controller.report.view import Budget, Report
-from controller.store import Store
+from controller.store import LINKS_EVENT, Store
 from estimation.errors import StoreError
 from tests.controller.report import runs
 
@@ -168,6 +168,19 @@ def test_incidents_are_those_of_this_run(store: Store) -> None:
     run = runs.held(store)
     table = next(table for table in view(store, run).provenance if table.title.startswith("Faults"))
     assert [row[2] for row in table.rows] == ["Phase hand-eye: expanded uncertainty 0.52 mm, limit 0.4 mm"]
+
+
+def test_links_are_those_of_the_end_of_this_run(store: Store) -> None:
+    run = runs.begin(store)
+    health = {"frames": 4321, "bad_frames": 7, "timeouts": 2, "reconnects": 1}
+    seen = {
+        "port": "COM3", "opened": 2, "broken": 1, "sent": 8, "received": 9, "late": 3,
+        "answers": [0, 0, 99, 1, 0, 0, 0, 0, 0, 0, 0], "longest_answer_s": 0.0081,
+    }  # fmt: skip
+    store.event(LINKS_EVENT, "Links", run=run + 1, devices={"laser": health}, links={})
+    store.event(LINKS_EVENT, "Links", run=run, devices={"laser": health}, links={"laser": seen})
+    (table,) = (table for table in view(store, run).provenance if table.title == "Links")
+    assert table.rows == (("laser", "4321", "7", "2", "1", "3", "5", "5", "8.1"),)
 
 
 def test_largest_share_of_the_budget_comes_first(store: Store) -> None:
