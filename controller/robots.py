@@ -1,7 +1,8 @@
 """The driver of a robot, from its table in the cell file."""
 
 import math
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from controller.cellfile.arm import Arm
 from controller.cellfile.robots import (
@@ -14,14 +15,16 @@ from controller.cellfile.robots import (
     UrRobot,
 )
 from drivers import capabilities
-from drivers.clock import Clock
+from drivers.clock import Clock, RealClock
 from drivers.links.interfaces import Ports
+from drivers.links.ports import RealPorts
 from drivers.robots.abb import AbbConfig, AbbController
 from drivers.robots.canopen_arm import CanopenArm
 from drivers.robots.canopen_arm_setup import ArmConfig
-from drivers.robots.controller_arm import ControllerArm, ControllerArmConfig
+from drivers.robots.controller_arm import ControllerArm
 from drivers.robots.igus_irc import IgusConfig, IgusController
 from drivers.robots.melfa import MelfaConfig, MelfaController
+from drivers.robots.robot_controller import ControllerArmConfig
 from drivers.robots.ur import UrConfig, UrController, UrLinks
 
 # How long each link may be silent; times `patience` where simulated devices share a busy computer.
@@ -59,6 +62,24 @@ def make_robot(
             return ControllerArm(
                 _ur(robot, ports, clock, patience), _arm_config(robot, start_gap_s=0.0), clock
             )
+
+
+def abilities_of(robot: Robot) -> capabilities.RobotAbilities:
+    """What the driver of a robot declares; nothing is opened."""
+    clock = RealClock()
+    return make_robot(robot, RealPorts(Path(), clock), clock).abilities
+
+
+def abilities_as_words(abilities: capabilities.RobotAbilities) -> dict[str, Any]:
+    """For a plan: how this arm stops, and how well its link knows where it was when the probe touched."""
+    return {
+        "stop": abilities.stop.value,
+        "stop_delay_ms": round(abilities.stop_delay_s * 1e3, 1),
+        "contact_delay_ms": round(abilities.contact_delay_s * 1e3, 1),
+        "joint_step_deg": float(f"{math.degrees(abilities.joint_resolution_rad):.3g}"),
+        "linear_moves": abilities.linear_moves,
+        "reports_pose": abilities.reports_pose,
+    }
 
 
 def _canopen(

@@ -9,13 +9,17 @@ import pytest
 import typer
 from typer.core import TyperGroup
 
+from controller.cellfile import load_cell
 from controller.console.app import app
 from controller.console.exit_codes import ExitCode, code_of_status
 from controller.demo import SCENARIOS
+from controller.demo_cell import copy_bench_block
+from controller.robots import abilities_as_words, abilities_of
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 BENCH_BLOCK = REPOSITORY / "cells" / "bench-block"
+VARIANTS = sorted((BENCH_BLOCK / "variants").glob("*.toml"))
 DOCUMENTS = sorted(
     path
     for pattern in ("*.md", "docs/**/*.md", "cells/*/*.md")
@@ -116,3 +120,18 @@ def test_the_layout_in_the_readme_of_the_cell_is_that_of_its_cell_file() -> None
 
 def test_the_picture_is_there_and_small() -> None:
     assert 20_000 < (REPOSITORY / "docs" / "bench-block.png").stat().st_size < 300_000
+
+
+def test_devices_page_states_what_each_robot_declares(tmp_path: Path) -> None:
+    rows = _table(REPOSITORY / "docs" / "devices.md", "Robot")
+    for driver, *cells in rows:
+        name = driver.strip("`")
+        folder = tmp_path / name
+        folder.mkdir()
+        robot = load_cell(copy_bench_block(folder, () if name == "canopen-402" else (name,))).robot
+        able = abilities_as_words(abilities_of(robot))
+        told = [str(able["stop"]), *(f"{able[key]:g}" for key in ("stop_delay_ms", "contact_delay_ms"))]
+        told += [f"{able['joint_step_deg']:g}"]
+        told += ["yes" if able[key] else "no" for key in ("linear_moves", "reports_pose")]
+        assert cells == told, name
+    assert len(rows) == 1 + sum("[robot]" in path.read_text() for path in VARIANTS)

@@ -102,6 +102,7 @@ def plan(
     from controller.cellfile import CellFileMistakes, format_mistakes, load_cell
     from controller.dry_run import plan_job, rows_of, step_rows
     from controller.planning.feasibility import limit_mistakes
+    from controller.robots import abilities_as_words, abilities_of
 
     loaded = load_cell(cell, feasibility=lambda part_is_right: [])
     mistakes = limit_mistakes(loaded)  # a limit that cannot be met is planned for all the same
@@ -112,11 +113,14 @@ def plan(
     rows = step_rows(phases) if dry_run else rows_of(phases)
     if as_json:
         files = {} if output is None else {"written": [str(path) for path in written]}
-        options.print_json({"steps" if dry_run else "phases": rows, **files})
+        robot = abilities_as_words(abilities_of(loaded.robot))
+        options.print_json({"steps" if dry_run else "phases": rows, "robot": robot, **files})
     else:
         from controller.console import show
 
         show.console().print(show.table_of(rows))
+        able = abilities_of(loaded.robot)
+        typer.echo(f"Stop on request: {able.stop.value}; slows down within {able.stop_delay_s * 1e3:.0f} ms.")
         for path in written:
             typer.echo(f"Wrote {path}")
     if mistakes:

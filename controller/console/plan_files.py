@@ -19,11 +19,13 @@ def write_plan(folder: Path, cell: "Cell", phases: Sequence["PlannedPhase"]) -> 
     """
     from controller.plan_page import page_of
     from controller.robot_programs import program_of
+    from controller.robots import abilities_as_words, abilities_of
 
     document = {
         "cell": cell.name,
         "cell_digest": cell.digest,
         "simulated": cell.simulated,
+        "robot": abilities_as_words(abilities_of(cell.robot)),
         "phases": [phase.to_dict() for phase in phases],
     }
     files = {"plan.json": json.dumps(document, indent=1) + "\n", "plan.html": page_of(cell, phases)}

@@ -1,17 +1,18 @@
 """The Robot capability of an arm behind a controller of its own, whatever protocol it speaks.
 
-A driver for such an arm is a `RobotController`: the exchanges that its protocol has. What must be right for
-all of them is here: targets inside the limits, waiting until motion has really ended, stopping, and touching.
+What must be right for all of them is here: targets inside the limits, waiting until motion has really ended,
+stopping, and touching. See `robot_controller` for what their protocols have in common.
 """
 
 import contextlib
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drivers.capabilities import (
     Contact,
@@ -24,78 +25,23 @@ from drivers.capabilities import (
 )
 from drivers.clock import Clock
 from drivers.robots.motion_profile import synchronize
+from drivers.robots.robot_controller import ControllerArmConfig, RobotController
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
-from estimation.transform import FloatArray
+from estimation.transform import FloatArray, Transform
 
 TOUCH_WATCH_S: Final = 0.5  # between two looks at the controller while a probe is polled
 REST_TIMEOUT_S: Final = 5.0
+IN_POSITION_M: Final = 5e-4  # of the flange after a linear move, as a coarse controller reports it
 ELSEWHERE_S: Final = 0.5  # an arm that stands elsewhere for so long does so, whatever the noise of a reading
 NOISE_STEPS: Final = 1.5  # two readings of one place differ by noise and by one step of the reading
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerArmConfig:
-    """Settings of one arm; per-joint tuples from the base outwards."""
-
-    lower_rad: tuple[float, ...]
-    upper_rad: tuple[float, ...]
-    speed_limit_rad_s: float  # of the fastest joint
-    acceleration_limit_rad_s2: float  # to compute how long a move takes
-    in_position_rad: float
-    reading_noise_rad: float = 0.0  # standard deviation of one reading
-    poll_period_s: float = 0.02  # between two looks at a moving arm
-    start_gap_s: float = 0.1  # a controller may say "not moving" for so long after it took a move
-    move_margin_s: float = 3.0  # allowed on top of the computed duration of a move
-    step_rad: float = 0.0  # longest move between two chances to stop; 0 where the arm can be stopped
-
-
-class RobotController(Protocol):
-    """One robot controller as its protocol shows it. Methods are called from one thread at a time.
-
-    Only `halt` of a controller that stops `AT_ONCE` is called from any thread. All raise DeviceError,
-    DeviceTimeout, FrameError.
-    """
-
-    @property
-    def abilities(self) -> RobotAbilities:
-        """What the protocol allows."""
-
-    def connect(self) -> Identity:
-        """Open the links and compare the identity; nothing of the robot is changed."""
-
-    def enable(self) -> None:
-        """Take control and enable the motors; no motion."""
-
-    def close(self) -> None:
-        """Give back control and release the links; safe twice."""
-
-    def health(self) -> LinkHealth:
-        """Link counters."""
-
-    def read_joints(self) -> tuple[float, FloatArray]:
-        """One fresh reading: its time on the driver's clock, and the joints (n,), rad."""
-
-    def is_moving(self) -> bool:
-        """Whether the arm moves, read afresh. Raises DeviceError if the controller is in error."""
-
-    def start_move(self, target_rad: FloatArray, speed_rad_s: float) -> None:
-        """Hand over a joint move whose fastest joint has this speed; it may end before this returns."""
-
-    def halt(self) -> None:
-        """Ask for the quickest controlled stop. Never called of a controller that cannot."""
-
-    def recover(self) -> None:
-        """After a halt: make motion possible again."""
-
-    def contact_at(self, touched_s: float, late_s: float) -> Contact | None:
-        """The joints at a past instant, if readings are stamped well enough to know them."""
 
 
 @dataclass(slots=True, eq=False)
 class _Move:
     """A move under way."""
 
-    target: FloatArray
+    is_there: Callable[[FloatArray], bool]  # of joints at rest
+    elsewhere: Callable[[FloatArray], DeviceError]  # what to say of joints at rest beside the target
     started_s: float
     expected_s: float  # when it should have ended
     seen: bool = False  # the controller has said that it moves
@@ -166,6 +112,23 @@ class ControllerArm:
         with self._at_rest_on_error():
             for step in self._steps(target, self._config.step_rad):
                 self._wait_until_arrived(self._start(step, speed_rad_s))
+
+    def move_linear(self, base_T_flange: Transform, speed_m_s: float) -> None:
+        """Move the flange on a straight line; returns at rest at the pose.
+
+        `speed_m_s` is of the flange. Raises as `move_joints`, and what the controller says of a pose that it
+        cannot reach.
+        """
+        if not speed_m_s > 0.0:
+            raise DeviceError(f"Speed {speed_m_s:g} m/s", "Give a speed above 0")
+        with self._at_rest_on_error():
+            for pose in self._poses_on_line(base_T_flange, speed_m_s):
+                self._wait_until_arrived(self._start_line(pose, speed_m_s))
+
+    def read_pose(self) -> Transform:
+        """base_T_flange as the controller computes it, by its own geometry."""
+        with self._asking():
+            return self._controller.read_pose()
 
     def move_until_contact(
         self, target_rad: FloatArray, speed_rad_s: float, probe: TouchProbe
@@ -251,28 +214,59 @@ class ControllerArm:
     def _start(self, target: FloatArray, speed_rad_s: float) -> _Move:
         """Hand over a move."""
         with self._asking():
-            if self._stop_requested:
-                raise self._stopped()
-            if not self._enabled:
-                self._enable()
-            if self._halted:
-                self._controller.recover()
-                self._halted = False
-            if self._controller.is_moving():
-                raise DeviceError(
-                    "The robot moves although it was not told to",
-                    "Check that nobody else commands it, then reset",
-                )
-            _, here = self._controller.read_joints()
-            if self._stop_requested:
-                raise self._stopped()
+            here = self._ready()
             started_s = self._clock.now_s()
             self._controller.start_move(target, speed_rad_s)
         limits = np.ones_like(target)
         move = synchronize(
             target - here, limits * speed_rad_s, limits * self._config.acceleration_limit_rad_s2
         )
-        return _Move(target, started_s, self._clock.now_s() + move.duration_s)
+        return _Move(
+            lambda joints: self._is_at(target, joints),
+            lambda joints: self._not_at_target(joints, target),
+            started_s,
+            self._clock.now_s() + move.duration_s,
+        )
+
+    def _start_line(self, pose: Transform, speed_m_s: float) -> _Move:
+        with self._asking():
+            self._ready()
+            away_m = float(np.linalg.norm(pose.origin_m - self._controller.read_pose().origin_m))
+            started_s = self._clock.now_s()
+            self._controller.start_linear(pose, speed_m_s)
+
+        def beside_m() -> float:
+            return float(np.linalg.norm(self.read_pose().origin_m - pose.origin_m))
+
+        return _Move(
+            lambda joints: beside_m() <= IN_POSITION_M,
+            lambda joints: DeviceError(
+                f"The flange is {beside_m() * 1e3:.2f} mm beside its target, "
+                f"window {IN_POSITION_M * 1e3:g} mm",
+                "Check for an obstacle, a singular posture and the payload, then reset",
+            ),
+            started_s,
+            self._clock.now_s() + away_m / speed_m_s,
+        )
+
+    def _ready(self) -> FloatArray:
+        """Make motion possible, unless a stop was requested; where the joints are."""
+        if self._stop_requested:
+            raise self._stopped()
+        if not self._enabled:
+            self._enable()
+        if self._halted:
+            self._controller.recover()
+            self._halted = False
+        if self._controller.is_moving():
+            raise DeviceError(
+                "The robot moves although it was not told to",
+                "Check that nobody else commands it, then reset",
+            )
+        _, here = self._controller.read_joints()
+        if self._stop_requested:
+            raise self._stopped()
+        return here
 
     def _wait_until_arrived(self, move: _Move) -> None:
         while not self._has_arrived(move):
@@ -292,12 +286,12 @@ class ControllerArm:
         if not moving:
             first, second = self.read_joints(2).joints_rad
             if self._stands(first, second):
-                if self._is_at(move.target, second):
+                if move.is_there(second):
                     return move.seen or now >= move.started_s + config.start_gap_s
                 move.elsewhere_s = min(move.elsewhere_s, now)
                 ended = move.seen or now >= move.started_s + config.move_margin_s
                 if ended and now >= move.elsewhere_s + ELSEWHERE_S:
-                    raise self._not_at_target(second, move.target)
+                    raise move.elsewhere(second)
         if now > move.expected_s + config.move_margin_s:
             raise DeviceTimeout(
                 f"The robot still moves {config.move_margin_s:g} s after its move should have ended",
@@ -337,6 +331,21 @@ class ControllerArm:
             for i in range(1, count):
                 yield here + (target - here) * (i / count)
         yield target
+
+    def _poses_on_line(self, base_T_flange: Transform, speed_m_s: float) -> Iterator[Transform]:
+        """Where the robot cannot be stopped: so far apart as it may go on after a request to stop."""
+        abilities = self.abilities
+        if abilities.stop is StopWay.BETWEEN_STEPS:
+            here = self.read_pose()
+            away_m = float(np.linalg.norm(base_T_flange.origin_m - here.origin_m))
+            count = int(np.ceil(away_m / (speed_m_s * abilities.stop_delay_s)))
+            turn = Rotation.from_matrix(here.rotation.T @ base_T_flange.rotation).as_rotvec()
+            for share in np.arange(1, count) / max(count, 1):
+                matrix = np.eye(4)
+                matrix[:3, :3] = here.rotation @ Rotation.from_rotvec(share * turn).as_matrix()
+                matrix[:3, 3] = here.origin_m + share * (base_T_flange.origin_m - here.origin_m)
+                yield Transform("base", "flange", matrix)
+        yield base_T_flange
 
     def _wait_for_rest(self) -> None:
         deadline_s = self._clock.now_s() + REST_TIMEOUT_S

@@ -1,5 +1,7 @@
 """What every driver does with every device, in virtual time: the conformance kit. Its table is `pairs.py`."""
 
+from pathlib import Path
+
 import pytest
 
 from estimation.errors import DeviceError, IdentityMismatch
@@ -73,6 +75,14 @@ class TestConformance:
         if fault in pair.unseen:
             pytest.skip(f"{pair.kind}, {fault}: {pair.unseen[fault]}")
         play(pair, 7, [fault], 0.05, min(LATE_S, pair.latest_s))
+
+
+def test_the_guide_states_how_soon_faults_are_noticed() -> None:
+    lines = Path("docs/devices.md").read_text().splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("| Device | Answers late"))
+    rows = [line.strip("| ").split(" | ") for line in lines[start + 2 : start + 2 + len(PAIRS)]]
+    assert rows == [[f"`{p.kind}`", f"{p.latest_s:g}", f"{p.budget_s:g}"] for p in PAIRS]
+    assert not lines[start + 2 + len(PAIRS)]
 
 
 def test_every_simulated_device_has_a_driver_in_the_table() -> None:

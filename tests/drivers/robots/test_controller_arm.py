@@ -8,6 +8,7 @@ import pytest
 
 from controller.cellfile import load_cell
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from estimation.transform import Transform
 from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
 
 DEG = np.pi / 180
@@ -45,6 +46,35 @@ def test_a_move_within_the_in_position_window_is_waited_for(rig: RobotRig) -> No
     assert rig.truth_rad() == pytest.approx(target, abs=0.0001 * DEG)
 
 
+def test_a_linear_move_keeps_to_the_line_and_ends_at_its_pose(rig: RobotRig) -> None:
+    assert rig.robot.abilities.linear_moves
+    rig.robot.move_joints(rig.truth_rad() + np.array([0, 20, -30, 0, -20, 0]) * DEG)
+    begin, begun_s = rig.arm.pose_of(rig.truth_rad()), rig.clock.now_s()
+    matrix = begin.copy()
+    matrix[:3, 3] += (0.03, 0.04, -0.01)
+    target = Transform("base", "flange", matrix)
+    rig.robot.move_linear(target, 0.05)  # type: ignore[attr-defined]
+    assert rig.robot.is_at_rest()
+    way = np.array(
+        [
+            rig.arm.pose_of(rig.arm.joints_at(time_s))[:3, 3] - begin[:3, 3]
+            for time_s in np.linspace(begun_s, rig.clock.now_s(), 40)
+        ]
+    )
+    along = (matrix - begin)[:3, 3] / np.linalg.norm((matrix - begin)[:3, 3])
+    assert np.max(np.linalg.norm(way - np.outer(way @ along, along), axis=1)) < 6e-4
+    assert way[-1] == pytest.approx((matrix - begin)[:3, 3], abs=6e-4)
+
+
+def test_a_linear_move_is_stopped_on_request(rig: RobotRig) -> None:
+    pose = rig.robot.read_pose()  # type: ignore[attr-defined]
+    rig.robot.stop()
+    with pytest.raises(MotionStopped):
+        rig.robot.move_linear(pose, 0.05)  # type: ignore[attr-defined]
+    with pytest.raises(DeviceError, match="Speed 0 m/s"):
+        rig.robot.move_linear(pose, 0.0)  # type: ignore[attr-defined]
+
+
 def test_pose_agrees_with_the_joints_by_a_kinematics_of_another_hand(rig: RobotRig, cache: Path) -> None:
     """Cross-check of the reported pose with the estimator's forward kinematics, at three poses."""
 
@@ -52,7 +82,7 @@ def test_pose_agrees_with_the_joints_by_a_kinematics_of_another_hand(rig: RobotR
     not_abb = rig.table.driver != "abb-open"  # its quaternions have three decimals
     for turn in (0.0, 0.3, -0.4):
         rig.robot.move_joints(rig.table.start_joints_rad + np.array([turn, turn, -turn, 0.5, turn, 1.0]))
-        pose = rig.robot._controller.read_pose()  # type: ignore[attr-defined]
+        pose = rig.robot.read_pose()  # type: ignore[attr-defined]
         expected = model.flange_pose(rig.robot.read_joints(1).joints_rad)[0]
         assert pose.origin_m == pytest.approx(expected[:3, 3], abs=3e-4)  # 0.01 deg on 0.7 m, and 0.01 mm
         assert pose.rotation == pytest.approx(expected[:3, :3], abs=8e-4 if not_abb else 2e-3)
