@@ -115,12 +115,14 @@ class ResultDecoder:
     """Results of a stream, however its bytes are split.
 
     All four bytes of a packet have the same head, and the next packet has another one: a packet counts once
-    it is followed by another head, so that neither a lost nor a doubled byte makes a value.
+    it is followed by another head, so that neither a lost nor a doubled byte makes a value. The first after
+    `reset` does not count.
     """
 
     def __init__(self) -> None:
         self.bad_bytes = self.lost = self.stale = 0  # lost: packets missing in the numbering
         self.reset()
+        self._cut = False  # nothing was dropped yet
 
     def reset(self) -> None:
         """After input was dropped."""
@@ -139,11 +141,10 @@ class ResultDecoder:
         self._rest = buffer[edges[-1] :].tobytes()
         sizes = edges - starts
         good = (sizes == RESULT_NIBBLES) & (heads[starts] >= 8)
-        bad = int(sizes[~good].sum())
-        if self._cut and not good[0]:  # the end of a packet whose beginning was dropped
-            bad -= int(sizes[0])
-        self._cut = False
-        self.bad_bytes += bad
+        if self._cut:  # the first may be the end of a packet, and with a doubled byte looks whole
+            good[0], self._cut = False, False
+            self.bad_bytes -= int(sizes[0])
+        self.bad_bytes += int(sizes[~good].sum())
         starts = starts[good]
         self._count_lost(heads[starts] & 3)
         fresh = (heads[starts] & 4) != 0

@@ -119,6 +119,7 @@ def test_a_result_that_was_not_refreshed_is_no_new_one() -> None:
 
 def test_the_end_of_a_packet_whose_beginning_was_dropped_is_no_fault() -> None:
     decoder = codec.ResultDecoder()
+    decoder.reset()
     wire = b"".join(stream([7, 8, 9, 10]))
     assert decoder.feed(wire[2:]).tolist() == [8, 9]
     assert decoder.bad_bytes == 0
@@ -130,3 +131,10 @@ def test_any_bytes_are_digested(wire: bytes, size: int) -> None:
     for i in range(0, len(wire), size):
         codes = decoder.feed(wire[i : i + size])
         assert ((codes >= 0) & (codes <= 0xFFFF)).all()
+
+
+def test_the_end_of_a_packet_and_a_doubled_byte_are_no_value_after_input_was_dropped() -> None:
+    decoder = codec.ResultDecoder()
+    decoder.reset()
+    assert decoder.feed(bytes.fromhex("FAFAF2F0 C5CAC2C0 D0")).tolist() == [0x02A5]
+    assert decoder.bad_bytes == 0
