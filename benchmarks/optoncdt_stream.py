@@ -26,6 +26,7 @@ from estimation.transform import FloatArray
 RATE_HZ: Final = 8000.0
 RAMP_S: Final = 2.0  # 16,000 values through the range: four steps of the resolution apart
 RANGE_M: Final = 0.1
+SILENCE_S: Final = 5.0  # on a busy computer the simulator may stand still: what is late is not lost
 SETTINGS: Final = {"range_start_mm": 50.0, "range_mm": RANGE_M * 1e3, "clock_drift": 0.0, "period_s": RAMP_S}
 
 
@@ -63,7 +64,13 @@ def stream(duration_s: float) -> Stream:
 
 
 def _read(port: Path, seconds: int) -> Stream:
-    config = LaserConfig(range_m=RANGE_M, range_start_m=0.05, rate_hz=RATE_HZ, noise_m=1e-5)
+    config = LaserConfig(
+        range_m=RANGE_M,
+        range_start_m=0.05,
+        rate_hz=RATE_HZ,
+        noise_m=1e-5,
+        silence_s=SILENCE_S,
+    )
     laser = OptoncdtLaser(SerialLink(str(port), config.baud), config, RealClock())
     laser.connect()
     try:

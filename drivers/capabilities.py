@@ -92,6 +92,7 @@ class RobotAbilities:
     joint_resolution_rad: float  # smallest step of a reading
     linear_moves: bool = False  # it is a `LinearRobot`
     reports_pose: bool = False  # it is a `PoseReporter`
+    joint_paths: bool = False  # it is a `PathRobot`
 
 
 class Robot(Device, Protocol):
@@ -134,6 +135,16 @@ class LinearRobot(Robot, Protocol):
 
     def move_linear(self, base_T_flange: Transform, speed_m_s: float) -> None:
         """Return when at rest at the pose. Raises as `move_joints`."""
+
+
+class PathRobot(Robot, Protocol):
+    """An arm that follows any path in joint space."""
+
+    def follow_path(self, path_rad: FloatArray) -> None:
+        """Pass through joint positions (n, joints), evenly spaced in time; at rest at the last on return.
+
+        Raises as `move_joints`.
+        """
 
 
 class PoseReporter(Robot, Protocol):

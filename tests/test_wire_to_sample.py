@@ -12,9 +12,9 @@ from controller.devices import make_devices
 from drivers.capabilities import Devices, RangeReadings
 from drivers.clock import Clock
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, MotionStopped
-from estimation.inverse_kinematics import solve
 from estimation.transform import FloatArray
 from simulators.virtual import SimulatedCell
+from tests.support.postures import looking_down
 
 CELL = Path(__file__).parents[1] / "cells" / "bench-block"
 COUNT_RAD = np.radians(0.001)
@@ -37,14 +37,7 @@ class Rig:
 
     def joints_with(self, tool: FloatArray, base_p: FloatArray) -> FloatArray:
         """Joints (6,) near the present ones that bring flange_T_tool (4, 4) to a point, looking down."""
-        poses = np.tile(np.eye(4), (8, 1, 1))
-        for pose, turn in zip(poses, np.linspace(0, 2 * np.pi, 8, endpoint=False), strict=True):
-            across = np.array([np.cos(turn), np.sin(turn), 0.0])
-            pose[:3, :3] = np.column_stack([across, np.cross([0, 0, -1], across), [0, 0, -1]])
-            pose[:3, 3] = base_p
-        joints, valid = solve(self.cell.robot.arm_model(), poses @ np.linalg.inv(tool))
-        found = joints[valid]
-        return np.asarray(found[np.abs(found - self.truth_rad()).max(axis=1).argmin()])
+        return looking_down(self.cell.robot.arm_model(), tool, base_p, self.truth_rad())
 
     def window(self) -> RangeReadings:
         self.devices.laser.begin_window()

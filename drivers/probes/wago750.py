@@ -123,6 +123,7 @@ class WagoProbe:
             self._node.pump(
                 self._config.event_timer_s, lambda: self._heard_s != heard_s or self._touched_s is not None
             )
+            self._node.drain()  # a robot that moves in steps asks seldom, and the newest frame counts
             self._node.check()
             if self._heard_s == heard_s:
                 self._check_silence()

@@ -27,6 +27,7 @@ from drivers.robots import canopen_arm_codec as codec
 from drivers.robots.canopen_arm_setup import ArmConfig, ArmSetup
 from drivers.robots.canopen_arm_units import JointUnits
 from drivers.robots.canopen_master import CanopenMaster, Sample
+from drivers.robots.canopen_path import PathFollower
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
 from estimation.transform import FloatArray
 
@@ -66,6 +67,16 @@ class CanopenArm:
         self._setup = ArmSetup(self._master, clock, config, master_is_watched=keep_alive_thread)
         self._joints = len(config.node_ids)
         self._units = JointUnits(config)
+        self._path = PathFollower(
+            link,
+            clock,
+            config,
+            self._master,
+            self._setup,
+            self._units,
+            self._command,
+            self._motion_sample,
+        )
         self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
         self._stop_requested = False
         self._connected, self._opened = False, 0
@@ -132,6 +143,7 @@ class CanopenArm:
             stop_delay_s=self._config.latest_answer_s,
             contact_delay_s=0.0,
             joint_resolution_rad=1.0 / self._config.counts_per_rad,
+            joint_paths=True,
         )
 
     def move_joints(self, target_rad: FloatArray, speed_fraction: float = 1.0) -> None:
@@ -152,6 +164,19 @@ class CanopenArm:
                     previous = sample
                     if self._clock.now_s() > deadline_s:
                         raise self._units.not_at_target(sample.counts, target)
+            self._wait(self._config.settle_time_s)
+
+    def follow_path(self, path_rad: FloatArray) -> None:
+        """Pass through joint positions (n, joints), one for each SYNC period; at rest at the last on return.
+
+        In interpolated position mode, for paths that are no straight line in joint space. The path begins
+        where the arm stands and keeps the speed limits; ramps at its ends are up to the caller.
+        Raises as `move_joints`.
+        """
+        with self._at_rest_on_error():
+            sample = self._ready()
+            self._path.follow(self._path.plan(path_rad, sample.counts))
+            self._commanded = False
             self._wait(self._config.settle_time_s)
 
     def move_until_contact(
@@ -273,8 +298,8 @@ class CanopenArm:
                     raise self._stopped()
                 self._send_controlword_unlocked(controlwords)
 
-    def _start(self, target: list[int], speed_limit_rad_s: FloatArray) -> tuple[float, float]:
-        """Start all joints at one SYNC; returns when they should have arrived, and when they must have."""
+    def _ready(self) -> Sample:
+        """The drives enabled; where the joints are."""
         self._require_connection()
         sample = self._master.next_sample()
         if self._stop_requested:
@@ -284,7 +309,11 @@ class CanopenArm:
         if any(word & _ENABLED_MASK != _ENABLED for word in sample.statuswords):
             self._enable()
             sample = self._master.next_sample()
-        config = self._config
+        return sample
+
+    def _start(self, target: list[int], speed_limit_rad_s: FloatArray) -> tuple[float, float]:
+        """Start all joints at one SYNC; returns when they should have arrived, and when they must have."""
+        sample, config = self._ready(), self._config
         velocity, self._acceleration, duration_s = self._units.move(sample.counts, target, speed_limit_rad_s)
         # A halt stays until the new set-point replaces the old one: released alone, the old move would go on.
         self._command(codec.ENABLE | (codec.HALT if self._halted else 0))

@@ -36,7 +36,13 @@ POSITION_ACTUAL: Final = 0x6064
 TARGET_POSITION: Final = 0x607A
 PROFILE_VELOCITY: Final = 0x6081
 PROFILE_ACCELERATION: Final = 0x6083  # 6084h, profile deceleration, does not exist: this serves both ramps
+INTERPOLATION_SET_POINT: Final = 0x60C1
 PROFILE_POSITION_MODE: Final = 1
+INTERPOLATED_MODE: Final = 7
+MODE_WORDS: Final[Mapping[int, str]] = {
+    PROFILE_POSITION_MODE: "profile position",
+    INTERPOLATED_MODE: "interpolated position",
+}
 
 SHUTDOWN: Final = 0x0006
 SWITCH_ON: Final = 0x0007
@@ -45,11 +51,13 @@ DISABLE_VOLTAGE: Final = 0x0000
 QUICK_STOP: Final = 0x0002
 FAULT_RESET: Final = 0x0080  # acts on the rising edge
 NEW_SET_POINT: Final = 0x0010
+ENABLE_INTERPOLATION: Final = 0x0010  # the same bit, in mode 7
 CHANGE_IMMEDIATELY: Final = 0x0020
 HALT: Final = 0x0100
 
 TARGET_REACHED: Final = 1 << 10
 SET_POINT_ACKNOWLEDGED: Final = 1 << 12
+INTERPOLATION_ACTIVE: Final = 1 << 12  # the same bit, in mode 7
 FOLLOWING_ERROR: Final = 1 << 13
 
 
@@ -131,6 +139,7 @@ _CONTROLWORD = MappedObject(CONTROLWORD, 0, "H")
 _STATUSWORD = MappedObject(STATUSWORD, 0, "H")
 _POSITION = MappedObject(POSITION_ACTUAL, 0, "i")
 _VELOCITY = MappedObject(0x606C, 0, "i")
+_SET_POINT = MappedObject(INTERPOLATION_SET_POINT, 1, "i")
 _TARGET = MappedObject(TARGET_POSITION, 0, "i")
 
 # What the driver configures. A dongle carries about 3000 frames/s, so each joint sends one 6-byte frame per
@@ -139,12 +148,13 @@ _TARGET = MappedObject(TARGET_POSITION, 0, "i")
 TPDO1: Final = PdoLayout(_STATUSWORD, _POSITION)
 RPDO1: Final = PdoLayout(_CONTROLWORD, MappedObject(PROFILE_ACCELERATION, 0, "I"))
 RPDO2: Final = PdoLayout(_TARGET, MappedObject(PROFILE_VELOCITY, 0, "I"))
+RPDO2_PATH: Final = PdoLayout(_SET_POINT)  # in interpolated position mode
 
 # What the device file maps. RPDO1 carries the unused 6042h between controlword and set-point: leave it
 # out, and the set-point is shifted by two bytes.
 FILE_TPDO1: Final = PdoLayout(_STATUSWORD, MappedObject(MODE_DISPLAY, 0, "b"))
 FILE_TPDO3: Final = PdoLayout(_POSITION, _VELOCITY)
-FILE_RPDO1: Final = PdoLayout(_CONTROLWORD, MappedObject(0x6042, 0, "h"), MappedObject(0x60C1, 1, "i"))
+FILE_RPDO1: Final = PdoLayout(_CONTROLWORD, MappedObject(0x6042, 0, "h"), _SET_POINT)
 
 
 @dataclass(frozen=True, slots=True)

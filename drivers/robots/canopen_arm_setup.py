@@ -80,17 +80,22 @@ class ArmSetup:
             self._write_if_present(node, 0x1016, 1, 0, 4)
         self._sdo.send_nmt(codec.NMT_PRE_OPERATIONAL)
 
-    def check_mode(self) -> None:
-        """Refuse a drive whose mode display is not profile position."""
+    def change_mode(self, mode: int, second_rpdo: codec.PdoLayout) -> None:
+        """Put all drives into another mode, with what RPDO2 carries in it. Raises DeviceError."""
+        for node in self._config.node_ids:
+            self._sdo.write(node, codec.MODE, 0, mode, 1)
+            self._map_pdo(node, 0x1401, codec.RPDO[1], second_rpdo)
+        self.check_mode(mode)
+
+    def check_mode(self, wanted: int = codec.PROFILE_POSITION_MODE) -> None:
+        """Refuse a drive whose mode display is another one."""
         for joint, node in enumerate(self._config.node_ids):
             deadline_s = self._clock.now_s() + 0.5
-            while (mode := self._sdo.read_int(node, codec.MODE_DISPLAY, signed=True)) != (
-                codec.PROFILE_POSITION_MODE
-            ):
+            while (mode := self._sdo.read_int(node, codec.MODE_DISPLAY, signed=True)) != wanted:
                 if self._clock.now_s() > deadline_s:
                     raise DeviceError(
                         f"{self._master.name([joint])} shows mode {mode}, "
-                        f"profile position is {codec.PROFILE_POSITION_MODE}",
+                        f"{codec.MODE_WORDS[wanted]} is {wanted}",
                         "Check for a second master on the bus, then reset",
                     )
 
