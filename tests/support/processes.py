@@ -284,8 +284,12 @@ def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
 
 
 def _alive(pid: int) -> bool:
-    """Running, and not merely waiting for somebody to note its end."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+    """A thread of it runs, and does not merely wait for somebody to note its end.
+
+    The first thread may have ended before the others, which still hold the files and locks of the process.
+    """
+    states = list[str]()
+    for thread in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            states.append(thread.read_text().rpartition(")")[2].split()[0])
+    return any(state not in "ZX" for state in states)
