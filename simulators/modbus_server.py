@@ -2,14 +2,14 @@
 
 import functools
 import logging
-import math
-from collections import deque
 from typing import Protocol
 
 from pymodbus.constants import ExcCodes
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+
+from simulators.answers import Answers
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps frames on every refused request
 
@@ -25,17 +25,17 @@ class ModbusModule(Protocol):
         """What the device says to a request, at that instant."""
 
 
-class ModbusConnection:
+class ModbusConnection(Answers):
     """The device end of one TCP connection; inputs are sampled when a request arrives."""
 
     def __init__(self, module: ModbusModule) -> None:
+        super().__init__()
         self._module = module
         decoder = DecodePDU(is_server=True)
         # A touch asks the same thing hundreds of times.
         decoder.decode = functools.lru_cache(maxsize=16)(decoder.decode)  # type: ignore[method-assign]
         self._framer = FramerSocket(decoder)
         self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
 
     def receive(self, data: bytes, time_s: float) -> None:
         """Bytes from the client, however they are cut."""
@@ -66,18 +66,3 @@ class ModbusConnection:
     def _send(self, answer: ModbusPDU, transaction: int, unit: int, time_s: float) -> None:
         answer.transaction_id, answer.dev_id = transaction, unit
         self._output.append((time_s + self._module.reply_delay_s, self._framer.buildFrame(answer)))
-
-    def next_output_s(self) -> float:
-        """When the next answer leaves."""
-        return self._output[0][0] if self._output else math.inf
-
-    def take(self, time_s: float) -> bytes:
-        """All answers that left by then."""
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget the answers that left by then."""
-        self.take(time_s)

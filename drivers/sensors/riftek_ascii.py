@@ -5,31 +5,27 @@ The format has no way to read or set parameters, so result hold and averaging st
 
 from typing import Final
 
-from drivers.capabilities import Identity, LinkHealth, RangeReadings
+from drivers.capabilities import Identity, LinkHealth
 from drivers.clock import Clock
 from drivers.links.ascii_exchange import AsciiExchange
 from drivers.links.interfaces import ByteLink
 from drivers.sensors import riftek_codec as codec
-from drivers.sensors.riftek_settings import BITS_PER_BYTE, RiftekConfig, compare, readings
-from drivers.sensors.windows import poll
-from estimation.errors import DeviceError
+from drivers.sensors.riftek_polled import PolledRiftek
+from drivers.sensors.riftek_settings import BITS_PER_BYTE, RiftekConfig, compare
 
 LONGEST_ANSWER: Final = 32
 RESULT: Final = b"R0"  # in increments
 
 
-class RiftekAsciiLaser:
+class RiftekAsciiLaser(PolledRiftek):
     """Asks V at connect and after every failure, R0 for each result."""
 
     def __init__(self, link: ByteLink, config: RiftekConfig, clock: Clock) -> None:
-        self._link, self._config, self._clock = link, config, clock
+        super().__init__(link, config, clock)
         self._exchange = AsciiExchange(
             link, clock, name="Laser", worst_answer_s=config.worst_answer_s, on_resync=self._after_failure
         )
         self._line_s = LONGEST_ANSWER * BITS_PER_BYTE / config.baud
-        self._opened = 0
-        self._connected = False
-        self._begun_s = 0.0
 
     def connect(self) -> Identity:
         """Compare the identity, take one result. Raises DeviceError, DeviceTimeout, IdentityMismatch."""
@@ -43,34 +39,11 @@ class RiftekAsciiLaser:
         self.end_window(1)
         return identity
 
-    def close(self) -> None:
-        """Release the port; safe twice."""
-        self._connected = False
-        self._link.close()
-
     def health(self) -> LinkHealth:
         """Link counters."""
         line = self._exchange
         bad = line.bad_frames + line.step.strays
         return LinkHealth(line.frames, bad, line.timeouts, max(0, self._opened - 1))
-
-    def begin_window(self) -> None:
-        """Results are measured after now, and asked for in `end_window`."""
-        if not self._connected:
-            raise DeviceError("The laser is not connected", "Connect it first")
-        self._begun_s = self._clock.now_s()
-
-    def end_window(self, minimum: int) -> RangeReadings:
-        """`minimum` results of different samples. Raises DeviceTimeout, FrameError, DeviceError (frozen)."""
-        window = poll(
-            self._clock,
-            self._result,
-            since_s=self._begun_s,
-            minimum=minimum,
-            period_s=self._config.result_s,
-        )
-        self._begun_s = self._clock.now_s()
-        return readings(self._config, window.values, window.time_s)
 
     def _result(self) -> tuple[int, float]:
         line = self._exchange.ask(RESULT, _is_result, self._line_s)
@@ -78,11 +51,6 @@ class RiftekAsciiLaser:
 
     def _head(self) -> codec.Head:
         return codec.parse_ascii_head(self._exchange.ask(b"V", _is_head, self._line_s))
-
-    def _after_failure(self) -> None:
-        """Part of the resynchronisation: the head that answers now is still the one that was asked."""
-        if self._connected:
-            compare(self._config, self._head())
 
 
 def _is_result(line: bytes) -> None:

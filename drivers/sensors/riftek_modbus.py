@@ -1,20 +1,20 @@
 """The RangeSensor capability of a RIFTEK RF602 in Modbus RTU: one request for each result."""
 
-from drivers.capabilities import Identity, LinkHealth, RangeReadings
+from drivers.capabilities import Identity, LinkHealth
 from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.links.modbus_rtu import ModbusRtu
 from drivers.sensors import riftek_codec as codec
-from drivers.sensors.riftek_settings import BITS_PER_BYTE, RiftekConfig, compare, readings
-from drivers.sensors.windows import poll
+from drivers.sensors.riftek_polled import PolledRiftek
+from drivers.sensors.riftek_settings import BITS_PER_BYTE, RiftekConfig, compare
 from estimation.errors import DeviceError, FrameError
 
 
-class RiftekModbusLaser:
+class RiftekModbusLaser(PolledRiftek):
     """Each reading brings serial number, base distance and range with it, so that it proves what it is."""
 
     def __init__(self, link: ByteLink, config: RiftekConfig, clock: Clock) -> None:
-        self._link, self._config, self._clock = link, config, clock
+        super().__init__(link, config, clock)
         self._modbus = ModbusRtu(
             link,
             clock,
@@ -26,9 +26,6 @@ class RiftekModbusLaser:
             echo=config.echo,
             on_resync=self._after_failure,
         )
-        self._opened = 0
-        self._connected = False
-        self._begun_s = 0.0
 
     def connect(self) -> Identity:
         """Compare the identity, set and read back the parameters, take one result.
@@ -55,33 +52,10 @@ class RiftekModbusLaser:
         self.end_window(1)
         return identity
 
-    def close(self) -> None:
-        """Release the port; safe twice."""
-        self._connected = False
-        self._link.close()
-
     def health(self) -> LinkHealth:
         """Link counters."""
         modbus = self._modbus
         return LinkHealth(modbus.frames, modbus.bad_frames, modbus.timeouts, max(0, self._opened - 1))
-
-    def begin_window(self) -> None:
-        """Results are measured after now, and asked for in `end_window`."""
-        if not self._connected:
-            raise DeviceError("The laser is not connected", "Connect it first")
-        self._begun_s = self._clock.now_s()
-
-    def end_window(self, minimum: int) -> RangeReadings:
-        """`minimum` results of different samples. Raises DeviceTimeout, FrameError, DeviceError (frozen)."""
-        window = poll(
-            self._clock,
-            self._result,
-            since_s=self._begun_s,
-            minimum=minimum,
-            period_s=self._config.result_s,
-        )
-        self._begun_s = self._clock.now_s()
-        return readings(self._config, window.values, window.time_s)
 
     def _result(self) -> tuple[int, float]:
         serial, base, full, result = self._modbus.read_input_registers(self._wire(codec.SERIAL_REGISTER), 4)
@@ -109,8 +83,3 @@ class RiftekModbusLaser:
 
     def _wire(self, register: int) -> int:
         return register - 1 + self._config.first_register
-
-    def _after_failure(self) -> None:
-        """Part of the resynchronisation: the head that answers now is still the one that was asked."""
-        if self._connected:
-            compare(self._config, self._head())

@@ -5,7 +5,6 @@ answered with the number of the one before. Only one client is served; a move su
 """
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimation.transform import FloatArray
+from simulators.answers import Answers
 from simulators.interfaces import ByteDevice
 from simulators.robots.controlled_arm import ControlledArm
 from simulators.world.world_file import ArmSpec
@@ -160,13 +160,13 @@ class AbbRobot(ControlledArm):
         return " ".join([*lengths, *(f"{q:.{settings.quaternion_decimals}f}" for q in (w, x, y, z))])
 
 
-class AbbSession:
+class AbbSession(Answers):
     """The client of the server."""
 
     def __init__(self, robot: AbbRobot) -> None:
+        super().__init__()
         self._robot = robot
         self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
         self._code = 0  # of the message before
         self._free_s = -math.inf  # when the program waits for the next message
         self._heard_s = -math.inf  # when something came last
@@ -218,20 +218,13 @@ class AbbSession:
 
     def next_output_s(self) -> float:
         """When the next reply is there, or the next message is read."""
-        due_s = self._output[0][0] if self._output else math.inf
+        due_s = super().next_output_s()
         return min(due_s, self._free_s) if self._input and self._served else due_s
 
     def take(self, time_s: float) -> bytes:
         """All replies that were sent by then."""
         self._work(time_s)
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget what was sent by then."""
-        self.take(time_s)
+        return super().take(time_s)
 
 
 def _pose(values: list[float]) -> FloatArray:

@@ -5,7 +5,6 @@ The controller only answers. An answer says by the case of its third letter whet
 
 import math
 import re
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimation.transform import FloatArray
+from simulators.answers import Answers
 from simulators.interfaces import ByteDevice
 from simulators.robots.controlled_arm import ControlledArm
 from simulators.world.world_file import ArmSpec
@@ -287,13 +287,13 @@ class MelfaRobot(ControlledArm):
             self.halt(time_s)
 
 
-class MelfaSession:
+class MelfaSession(Answers):
     """One session: bytes in, answers out, in their own time."""
 
     def __init__(self, robot: MelfaRobot) -> None:
+        super().__init__()
         self._robot = robot
         self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
         self._answered_s = -math.inf
 
     def receive(self, data: bytes, time_s: float) -> None:
@@ -322,18 +322,3 @@ class MelfaSession:
         sent_s = max(ready_s, self._answered_s) + settings.answer_s + len(answer) * byte_s
         self._answered_s = sent_s
         self._output.append((sent_s, answer))
-
-    def next_output_s(self) -> float:
-        """When the next answer is complete."""
-        return self._output[0][0] if self._output else math.inf
-
-    def take(self, time_s: float) -> bytes:
-        """All answers that are complete by then."""
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget the answers that are complete by then."""
-        self.take(time_s)

@@ -5,7 +5,6 @@ A program takes the place of the one that runs; it is refused in local mode, wit
 
 import math
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -13,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from estimation.transform import FloatArray
+from simulators.answers import Answers
 from simulators.interfaces import ByteDevice
 from simulators.robots.controlled_arm import ControlledArm
 from simulators.robots.ur_fields import (
@@ -250,13 +250,14 @@ class ScriptSession:
         """Nothing."""
 
 
-class DashboardSession:
+class DashboardSession(Answers):
     """A client of the dashboard server: lines, and a greeting before the first."""
 
     def __init__(self, robot: UrRobot) -> None:
+        super().__init__()
         self._robot, self._input = robot, b""
         greeting = b"Connected: Universal Robots Dashboard Server\n"
-        self._output: deque[tuple[float, bytes]] = deque([(-math.inf, greeting)])
+        self._output.append((-math.inf, greeting))
 
     def receive(self, data: bytes, time_s: float) -> None:
         """Bytes from the client."""
@@ -265,18 +266,3 @@ class DashboardSession:
             line, _, self._input = self._input.partition(b"\n")
             answer = self._robot.command(line.decode("utf-8", errors="replace").strip(), time_s)
             self._output.append((time_s + self._robot.settings.answer_s, answer.encode() + b"\n"))
-
-    def next_output_s(self) -> float:
-        """When the next answer comes."""
-        return self._output[0][0] if self._output else math.inf
-
-    def take(self, time_s: float) -> bytes:
-        """All answers that came by then."""
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget what came by then."""
-        self.take(time_s)

@@ -5,9 +5,9 @@ Packages come on the grid of the control cycle. A client that does not read for 
 
 import math
 import struct
-from collections import deque
 from typing import Final
 
+from simulators.answers import Answers
 from simulators.robots.ur_fields import Recipe, Sampled
 
 CYCLE_S: Final = 0.002
@@ -22,13 +22,13 @@ def frame(kind: bytes, payload: bytes = b"") -> bytes:
     return struct.pack(">H", 3 + len(payload)) + kind + payload
 
 
-class RtdeSession:
+class RtdeSession(Answers):
     """One client. Inputs cannot be written: their set-up is answered with NOT_FOUND."""
 
     def __init__(self, robot: Sampled, version: tuple[int, int, int, int]) -> None:
+        super().__init__()
         self._robot, self._version = robot, version
         self._input = b""
-        self._output: deque[tuple[float, bytes]] = deque()
         self._recipe: Recipe | None = None
         self._period_s, self._next_s = CYCLE_S, math.inf  # sample time of the next package
 
@@ -85,16 +85,9 @@ class RtdeSession:
 
     def next_output_s(self) -> float:
         """When the next frame comes."""
-        return min(self._output[0][0] if self._output else math.inf, self._next_s + LATENCY_S)
+        return min(super().next_output_s(), self._next_s + LATENCY_S)
 
     def take(self, time_s: float) -> bytes:
         """All frames that came by then."""
         self._sample(time_s, LATENCY_S)
-        data = b""
-        while self._output and self._output[0][0] <= time_s:
-            data += self._output.popleft()[1]
-        return data
-
-    def discard(self, time_s: float) -> None:
-        """Forget what came by then."""
-        self.take(time_s)
+        return super().take(time_s)
