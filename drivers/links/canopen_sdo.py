@@ -155,8 +155,8 @@ class SdoPort:
             except SdoAbortedError as abort:
                 text = SdoAbortedError.CODES.get(abort.code, "unknown reason")
                 raise SdoAbort(
-                    f"{what}: the drive refused with {abort.code:08X}h ({text})",
-                    "Check that the drives are of the type which the cell file names",
+                    f"{what}: it refused with {abort.code:08X}h ({text})",
+                    "Check that the device is of the type which the cell file names",
                     abort.code,
                 ) from abort
             except SdoCommunicationError as error:

@@ -115,22 +115,23 @@ class ModbusTcp(ModbusClient):
         head = self._received
         if len(head) < HEADER_BYTES + 1:
             return None
-        length = int.from_bytes(head[4:6], "big")
-        if head[2:4] != b"\0\0" or not 2 <= length <= MOST_BYTES - 6:
-            self.bad_frames += 1
-            self._received = b""
-            raise FrameError(
-                f"{self._name} sent {head[:8].hex(' ')}, not a Modbus TCP frame", "Check host and port"
-            )
+        self._refuse_unless_frame(head)
         used, unit, transaction, pdu = self._framer.decode(head)
         if not used:
             return None
-        self._received = rest = head[used:]
-        if len(rest) < HEADER_BYTES and rest:  # one request, one reply: no other frame can have begun
+        self._received = head[used:]
+        if self._received:  # a reply that came twice, or one with a byte too many
+            self._refuse_unless_frame(self._received)
+        return transaction, unit, pdu
+
+    def _refuse_unless_frame(self, data: bytes) -> None:
+        length = int.from_bytes(data[4:6], "big")
+        if len(data) < HEADER_BYTES or data[2:4] != b"\0\0" or not 2 <= length <= MOST_BYTES - 6:
             self.bad_frames += 1
             self._received = b""
-            raise FrameError(f"{self._name} sent {rest.hex(' ')} after its reply", "Check host and port")
-        return transaction, unit, pdu
+            raise FrameError(
+                f"{self._name} sent {data[:8].hex(' ')}, not a Modbus TCP frame", "Check host and port"
+            )
 
     def _matching(
         self, frame: tuple[int, int, bytes], request: Any, head: bytes, length: int

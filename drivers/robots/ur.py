@@ -17,7 +17,7 @@ from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.robots import ur_codec as codec
 from drivers.robots.ur_rtde import Received, RtdeConnection
-from estimation.errors import DeviceError, DeviceTimeout, IdentityMismatch
+from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from estimation.transform import FloatArray, Transform
 
 POWER_TIMEOUT_S: Final = 30.0
@@ -66,7 +66,8 @@ class Dashboard:
         self._link.close()
 
     def ask(self, command: str) -> str:
-        """The answer to a command. Raises DeviceError, DeviceTimeout."""
+        """The answer to a command. Raises DeviceError, DeviceTimeout, FrameError."""
+        self._refuse_strays()
         self._link.write(command.encode("ascii") + b"\n")
         deadline_s = self._clock.now_s() + self._reply_timeout_s
         while True:
@@ -81,10 +82,21 @@ class Dashboard:
             data = self._link.read(max(remaining_s, 0.0))
             self._buffer = (self._buffer + data)[-LONGEST_LINE:]
             if not data and remaining_s <= 0.0:
-                raise DeviceTimeout(
+                raise DeviceTimeout(  # what comes later is a stray
                     f"The dashboard did not answer {command!r} within {self._reply_timeout_s:g} s",
                     "Check network cable and power of the controller",
                 )
+
+    def _refuse_strays(self) -> None:
+        """A line that answers nothing would be taken for the answer to the next command."""
+        lines = (self._buffer + self._link.read(0.0)).split(b"\n")
+        greeting = codec.GREETING.encode()
+        if strays := [line for line in lines if line.strip() and not line.startswith(greeting)]:
+            self._buffer = b""
+            raise FrameError(
+                f"The dashboard sent {strays[0][:40]!r} without being asked",
+                "Reset; check the network if it recurs",
+            )
 
 
 class UrController:

@@ -45,6 +45,7 @@ class Pair:
     unseen: Mapping[str, str] = field(
         default_factory=dict
     )  # faults that nothing in the protocol reveals; why
+    unseen_together: tuple[tuple[str, ...], ...] = ()  # groups; one of each in the same packet
     delay_s: float = 5.0  # longest time in which work ends, whatever the wire does
     latest_s: float = 0.2  # after which the device answers late, as the driver is told
     budget_s: float = 0.25  # from a fault until it is noticed: STANDARDS B3, or as the driver declares
@@ -137,6 +138,7 @@ RIFTEKS: tuple[tuple[str, Any, Mapping[str, str]], ...] = (
     ("ascii", RiftekAsciiLaser, NO_WIDTH),
     ("modbus", RiftekModbusLaser, {}),
 )
+LOST_AND_DOUBLED = (("drop", "truncate", "lose-byte"), ("duplicate", "double-byte"))
 motion = partial(move_and_read, 1e-3)
 SLACK_S = 0.02  # of a budget: until the driver looks again
 MOVE_REPLY_S = 6.5  # the server answers a move when it has ended: a lost answer is waited for so long
@@ -183,6 +185,7 @@ PAIRS = [
             partial(on, make, RIFTEK),
             partial(measure_range, 1e-5),
             unseen=unseen,
+            unseen_together=LOST_AND_DOUBLED if name == "binary" else (),
             latest_s=STALE_S if name == "binary" else 0.1,
             budget_s=0.25 + SLACK_S,
         )

@@ -15,6 +15,7 @@ from simulators.interfaces import ByteDevice
 from simulators.registry import DEVICES
 from simulators.virtual import VirtualClock, VirtualPorts, virtual_links
 from tests.conformance.pairs import Pair
+from tests.conformance.refusals import Refusal, RefusingBytes, RefusingCan
 
 SETTINGS = {
     "adam-6052": {"period_s": 0.5},  # slow enough for every touch to be told apart
@@ -81,6 +82,7 @@ class Rig:
 
     def __init__(self, pair: Pair, seed: int = 0, *, converter: bool = False) -> None:
         self._converter = converter
+        self.refusal: Refusal | None = None  # which the device gives from now on
         self.pair, self.kind, self.clock = pair, DEVICES[pair.kind], WatchedClock()
         self.noticed_s = math.nan  # when the driver counted something as bad or missing
         self.clock.sleep(10.0)  # it was switched on long ago
@@ -95,8 +97,14 @@ class Rig:
 
     def _simulated(self, seed: int, **settings: Setting) -> Simulated:
         device = self.kind.simulated(seed, **settings)
+        if device.can is not None:
+            return replace(device, can=RefusingCan(device.can, lambda: self.refusal))
+
+        def refusing(connect: Callable[[], ByteDevice]) -> Callable[[], ByteDevice]:
+            return lambda: RefusingBytes(connect(), lambda: self.refusal)
+
         if not self._converter or device.baud is None:
-            return device
+            return replace(device, connect={name: refusing(found) for name, found in device.connect.items()})
         gap_s = GAP_BYTES * 10 / device.baud()
 
         def bundled(connect: Callable[[], ByteDevice]) -> Callable[[], ByteDevice]:

@@ -7,6 +7,7 @@ import pytest
 from estimation.errors import DeviceError, IdentityMismatch
 from simulators.registry import DEVICES
 from tests.conformance.pairs import PAIRS, Pair
+from tests.conformance.refusals import REFUSALS, Refusal, says
 from tests.conformance.rig import Rig
 from tests.conformance.sessions import FAULTS, play
 
@@ -75,6 +76,26 @@ class TestConformance:
         if fault in pair.unseen:
             pytest.skip(f"{pair.kind}, {fault}: {pair.unseen[fault]}")
         play(pair, 7, [fault], 0.05, min(LATE_S, pair.latest_s))
+
+
+@pytest.mark.parametrize(
+    ("pair", "refusal"),
+    [
+        pytest.param(pair, refusal, id=f"{pair.kind}: {refusal.name}")
+        for pair in PAIRS
+        for refusal in REFUSALS[pair.kind]
+    ],
+)
+def test_every_error_answer_is_said_and_heals(pair: Pair, refusal: Refusal) -> None:
+    rig = Rig(pair)
+    rig.driver.connect()
+    rig.work()
+    rig.refusal = refusal
+    with pytest.raises(DeviceError) as raised:
+        rig.driver.connect() if refusal.at_connect else rig.work()
+    assert says(refusal, str(raised.value)), str(raised.value)
+    rig.refusal = None
+    rig.heal()
 
 
 def test_the_guide_states_how_soon_faults_are_noticed() -> None:
