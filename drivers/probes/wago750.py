@@ -59,6 +59,7 @@ class WagoProbe:
         self._connected = self._armed = False
         self._heard_s = self._gap_s = 0.0
         self._clear_s = 0.0  # when it was asked for the input, which was open then
+        self._heed_from_s = 0.0  # a frame before may be one of an earlier contact
         self._asked_s: float | None = None  # of a question that is not answered yet
         self._touched_s: float | None = None
 
@@ -101,14 +102,13 @@ class WagoProbe:
         """Forget what came before. Raises DeviceError if the probe is tripped already."""
         self._require_connection()
         self._armed, self._gap_s = False, 0.0
-        if self._config.stale_s:
-            self._node.pump(self._config.stale_s)  # a frame of an earlier contact comes within
         tripped, asked_s = self._read()
         if tripped:  # frames sent before the answer have come before it
             raise DeviceError(
                 "The probe is tripped before the approach", "Free the stylus; if it is free, check its cable"
             )
         self._heard_s = self._clear_s = asked_s
+        self._heed_from_s = self._clock.now_s() + self._config.stale_s  # until then answers alone count
         self._touched_s, self._armed = None, True
 
     def touched_at_s(self) -> float | None:
@@ -161,7 +161,7 @@ class WagoProbe:
             self._node.bad_frames += 1
             return
         self._heard_s = frame.time_s
-        if self._closed(frame.data[byte]):
+        if self._closed(frame.data[byte]) and frame.time_s >= self._heed_from_s:
             self._touch(frame.time_s)
 
     def _ask(self) -> None:
