@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from controller.demo_cell import copy_bench_block, variants, with_device
+from controller.truth_table import compare
 from estimation.errors import CellFileError
 from estimation.statistics import Outcome
 from tests.support.deterministic import BENCH_BLOCK, DeterministicCell
@@ -45,6 +46,25 @@ def test_the_cell_ends_as_the_readme_says(others: tuple[str, ...], tmp_path: Pat
         assert (state.value, cell.job.outcome().value) == expected
         before = {name: result.verdict for name, result in cell.results().items() if name != "inspect"}
         assert set(before.values()) == {Outcome.OK.value}
+    finally:
+        cell.close()
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("other", variants())
+def test_whatever_the_device_nothing_is_released_wrongly(other: str, seed: int, tmp_path: Path) -> None:
+    """Five cells a variant: what is stated is compared with the truth, whatever the verdict."""
+    cell = DeterministicCell(seed=seed, cell_path=copy_bench_block(tmp_path, (other,)))
+    try:
+        state = cell.run()
+        verdict = cell.job.outcome().value
+        rows = compare(cell.cell, list(cell.results().values()), cell.truth.to_json()).rows
+        inside = sum(row.inside for row in rows)
+        print(f"| {other} | {seed} | {state.value} | {verdict} | {inside} of {len(rows)} |")
+        assert not [row for row in rows if row.wrongly_released]
+        if stated()[other][1] != Outcome.OK.value:
+            assert verdict != Outcome.OK.value
     finally:
         cell.close()
 
