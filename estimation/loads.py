@@ -37,6 +37,9 @@ class GravityLoad:
         Raises EstimationError when the masses do not suit the arm.
         """
         count = arm.joint_count
+        for name, given in (("payload_m", self.payload_m), ("up", self.up)):
+            if np.shape(given) != (3,) or not np.isfinite(given).all():
+                raise EstimationError(f"{name} of a load is {given}", "Give three finite numbers")
         mass = np.zeros(count) if self.link_kg is None else np.asarray(self.link_kg, dtype=np.float64)
         centre = np.zeros((count, 3)) if self.link_m is None else np.asarray(self.link_m, dtype=np.float64)
         if mass.shape != (count,) or centre.shape != (count, 3):
@@ -44,15 +47,14 @@ class GravityLoad:
                 f"Masses of shape {mass.shape} at centres {centre.shape} for {count} links",
                 "Give one mass and one centre of mass for each link",
             )
-        if not (np.isfinite(mass).all() and mass.min() >= 0.0 and 0.0 <= self.payload_kg < np.inf):
-            raise EstimationError(
-                f"A mass is {min(float(mass.min()), self.payload_kg):g} kg", "Give masses, kg, not below zero"
-            )
+        every = np.append(mass, self.payload_kg)
+        if not (np.isfinite(every).all() and every.min() >= 0.0):
+            raise EstimationError(f"A mass is {every.min():g} kg", "Give finite masses, kg, not below zero")
         frames = arm.link_frames(joints_rad)
         ends = np.concatenate([frames[:, 1:], frames[:, -1:]], axis=1)
         local = np.concatenate([centre, np.reshape(self.payload_m, (1, 3))])
         places = np.einsum("mjik,jk->mji", ends[..., :3, :3], local) + ends[..., :3, 3]
-        weights = np.append(mass, self.payload_kg)[:, None] * -GRAVITY_M_S2 * np.asarray(self.up)
+        weights = every[:, None] * -GRAVITY_M_S2 * np.asarray(self.up)
         # Of all that hangs beyond a joint: sums from the flange back to it.
         moment = np.cumsum(np.cross(places, weights)[:, ::-1], axis=1)[:, ::-1][:, :count]
         weight = np.cumsum(weights[::-1], axis=0)[::-1][:count]

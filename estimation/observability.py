@@ -15,6 +15,7 @@ from estimation.transform import FloatArray, Transform
 # Smallest over largest singular value. Hand-eye poses with a tilt up to 28 deg give 1e-2, up to 10 deg 2e-3
 # (and a standard deviation of 0.8 mm), equal orientations with settling errors of 0.005 deg less than 1e-4.
 RANK_TOLERANCE: Final = 1e-3
+_SHORTEST_LEVER_M: Final = 1e-6  # between an angle and what it moves
 _LOADED: Final = 1e-6  # of the joint that is loaded most
 _HELD_RATIO: Final = 0.9  # of posterior over prior std: the data say next to nothing
 _NAMED_SHARE: Final = 0.1  # of the largest component: smaller ones are not worth a word
@@ -118,6 +119,9 @@ def null_space(
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
     scale = np.array([length[units == unit].max() for unit in units])
+    # Where all angles are next to nothing, rounding is not information.
+    metres = float(length[units == "m"].max(initial=0.0))
+    scale[(units == "rad") & (scale < _SHORTEST_LEVER_M * metres)] = metres
     # But joints yield as differently as their loads are: of these each has its own, if it has a load at all.
     yields = (units == "rad/Nm") & (length > _LOADED * scale)
     scale[yields] = length[yields]

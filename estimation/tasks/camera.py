@@ -42,6 +42,13 @@ class MarkerTask(SensorTask):
         """(m, 3, 3) noise of each point in the frame of the sensor, m^2."""
         raise NotImplementedError
 
+    def check_noise(self) -> list[Finding]:
+        """What is wrong with the noise as it was given."""
+        raise NotImplementedError
+
+    def _check_noise(self) -> list[Finding]:
+        return checks.first_of(self.check_noise, super()._check_noise)
+
     @property
     def object_freedoms(self) -> tuple[str, ...]:
         """None when unknown markers are estimated where they are; no rotation of a single one."""
@@ -105,9 +112,10 @@ class MarkerTask(SensorTask):
             return self.rolled(pose[thrice], points[thrice], planes, mount, holder)
         # Markers that are not known: the one that is seen most often finds the camera, which sees the others.
         often = index == np.argmax(np.bincount(index))
-        mount, _, cost = starts.on_points(
-            pose[often], points[often], np.zeros((int(often.sum()), 3)), self.mount_grid()
-        )
+        grid, linear = self.mount_grid(), starts.on_one_point(pose[often], points[often])
+        if len(grid) > 1 and linear is not None:
+            grid = linear[None]
+        mount, _, cost = starts.on_points(pose[often], points[often], np.zeros((int(often.sum()), 3)), grid)
         found: list[Mapping[str, Value]] = []
         for i in starts.best(cost, mount[:, :3, :3]):
             near_p = Transform("near", "sensor", mount[i]).points(points)
@@ -134,6 +142,9 @@ class CameraHandEye(MarkerTask):
 
     def covariance_of_points(self) -> FloatArray:
         return np.broadcast_to(self.covariance, (len(self.points_m), 3, 3))
+
+    def check_noise(self) -> list[Finding]:
+        return checks.covariances({"covariance": (self.covariance, len(self.points_m))})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -162,6 +173,9 @@ class Tracker(MarkerTask):
 
     def covariance_of_points(self) -> FloatArray:
         return beam_covariance(self.points_m, self.std_m, self.angle_std_rad)
+
+    def check_noise(self) -> list[Finding]:
+        return checks.deviations({"std_m": self.std_m, "angle_std_rad": self.angle_std_rad})
 
 
 def beam_covariance(points_m: FloatArray, std_m: float, angle_std_rad: float) -> FloatArray:

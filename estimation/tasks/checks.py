@@ -104,6 +104,15 @@ def deviations(named: Mapping[str, Any]) -> list[Finding]:
     ]
 
 
+def covariances(named: Mapping[str, tuple[Any, int]]) -> list[Finding]:
+    """Covariance matrices (3, 3), or (m, 3, 3) with one for each of m points."""
+    return [
+        finding
+        for name, (given, count) in named.items()
+        for finding in numbers({name: (given, (3, 3) if np.ndim(given) == 2 else (count, 3, 3))})
+    ]
+
+
 def lengths(named: Mapping[str, FloatArray]) -> list[Finding]:
     """Lengths, m, that fit into a cell."""
     found = []

@@ -4,7 +4,7 @@ What only another choice of frames would change is held (`arm_gauge.py`); what e
 refused, or comes from its prior.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Final
@@ -16,6 +16,7 @@ from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
 from estimation.gauge import Gauge
 from estimation.kinematics import PARAMETER_NAMES, ArmModel
+from estimation.model import values_of
 from estimation.observability import Direction, rank_report
 from estimation.tasks import checks
 from estimation.tasks.arm_gauge import arm_gauges
@@ -23,9 +24,8 @@ from estimation.tasks.chain import SensorChain
 from estimation.tasks.findings import Cause, Finding
 from estimation.tasks.motion import COMPLIANCE, KINEMATICS, Joints
 from estimation.tasks.sensing import SensorTask
-from estimation.tasks.solve import Minimum, Result, descents, solve
+from estimation.tasks.solve import Result, solve
 
-_BETTER: Final = 0.25  # of the cost while the arm is nominal
 _SMALLEST_MOTION_RAD: Final = np.radians(20.0)
 
 
@@ -56,6 +56,7 @@ class KinematicTask:
     def check(self) -> Sequence[Finding]:
         """Everything wrong at sight; an empty list for sound data."""
         return checks.first_of(
+            lambda: list(self.measured.motion.check()),
             self._check_motion,
             lambda: list(self.measured.check()),
             self._check_count,
@@ -75,8 +76,10 @@ class KinematicTask:
         ]
 
     def _check_count(self) -> list[Finding]:
-        model = self.reduced.model()
-        return checks.count(len(model), int(self.reduced.rough().flat.sum()))
+        try:
+            return checks.count(len(self.model()), int(self.rough().flat.sum()))
+        except EstimationError as error:  # nothing fits the nominal arm
+            return [Finding(Cause.NO_SOLUTION, error.problem, error.remedy)]
 
     @property
     def _every(self) -> Joints:
@@ -106,18 +109,14 @@ class KinematicTask:
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
         """What no such measurement can tell, and what is held for it."""
-        return arm_gauges(self.measured, self._every, self._nominal.values)
+        return arm_gauges(self.measured, self._every, self._nominal)
 
-    @cached_property
-    def _nominal(self) -> Minimum:
-        """What fits best while the arm is nominal."""
-        model = self.measured.model()
-        found, reason = descents(
-            self.measured, model, self._nominal_starts, np.ones(len(model), dtype=np.bool_)
-        )
-        if not found:
-            raise reason
-        return found[0]
+    @property
+    def _nominal(self) -> Mapping[str, Value]:
+        """The start that fits best while the arm is nominal."""
+        model, known = self.measured.model(), values_of(self.measured.rough())
+        costs = [np.sum(model.rows({**known, **each}).residual_m ** 2) for each in self._nominal_starts]
+        return self._nominal_starts[int(np.argmin(costs))]
 
     @cached_property
     def _nominal_starts(self) -> Sequence[Mapping[str, Value]]:
@@ -169,19 +168,9 @@ class KinematicTask:
     def settled(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         return self.reduced.settled(values)
 
-    def explanations(self) -> Iterator[tuple[Finding, "KinematicTask"]]:
-        """Mistakes with motion, units and labels, of which the nominal arm says already that they may be."""
-        for finding, other in self.measured.explanations():
-            again = replace(self, measured=other)
-            if again._cost() < _BETTER * self._cost():
-                yield finding, again
-
-    def _cost(self) -> float:
-        """Of the best fit while the arm is nominal; infinite where there is none."""
-        try:
-            return np.inf if checks.refusing(self.measured.check()) else self._nominal.cost
-        except EstimationError:
-            return np.inf
+    def explanations(self) -> Iterable[tuple[Finding, "KinematicTask"]]:
+        """Mistakes with motion, units and labels."""
+        return ((finding, replace(self, measured=other)) for finding, other in self.measured.explanations())
 
     def diagnose(self, values: Mapping[str, Value], rejected: NDArray[np.bool_] | None) -> Sequence[Finding]:
         found = list(self.reduced.diagnose(values, rejected))
@@ -218,8 +207,15 @@ class Calibrated(Result):
     @property
     def notes(self) -> tuple[str, ...]:
         held = (f"{gauge.words}: held at its nominal value." for gauge in self.gauges)
-        prior = (f"{direction.words}. {direction.remedy}." for direction in self.prior_only)
-        return (*Result.notes.__get__(self), *held, *prior)
+        return (*Result.notes.__get__(self), *held, *_only_from_priors(self.prior_only))
+
+
+def _only_from_priors(directions: Sequence[Direction]) -> list[str]:
+    """One sentence for all: single parameters by name, sums of many by their number."""
+    single = [each.components[0][0].rpartition(".")[2] for each in directions if len(each.components) == 1]
+    sums = len(directions) - len(single)
+    named = [*single, *([f"{sums} combination{'s' * (sums > 1)} of others"] if sums else [])]
+    return [f"Known from priors only: {', '.join(named)}."] if named else []
 
 
 def calibrate(problem: KinematicTask, explain: bool = True) -> Calibrated:

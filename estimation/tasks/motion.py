@@ -205,7 +205,24 @@ class Joints:
             lambda: checks.numbers(arrays),
             lambda: checks.deviations({"std_rad of joints": self.std_rad}),
             lambda: checks.angles({"joints_rad": self.joints_rad}),
+            self._check_priors,
         )
+
+    def _check_priors(self) -> list[Finding]:
+        priors = {
+            "kinematics_std": (self.kinematics_std, len(self.arm.free)),
+            "compliance_std": (self.compliance_std, self.arm.joint_count),
+        }
+        return [
+            Finding(
+                Cause.WRONG_SHAPE,
+                f"{name} of joints is {given}",
+                f"Give one number or {count}, none below zero, infinite for no prior",
+            )
+            for name, (given, count) in priors.items()
+            if given is not None
+            and not (np.shape(given) in ((), (count,)) and np.all(np.asarray(given) >= 0.0))
+        ]
 
     def mistakes(self) -> Sequence[tuple[Finding, Motion]]:
         degrees = Finding(Cause.WRONG_UNITS, "The joints fit when taken as degrees", "Give radians")

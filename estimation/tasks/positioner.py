@@ -39,7 +39,7 @@ class PositionerTask(SensorTask):
     motion : `Turning`, the angles of the positioner.
     points_m, pose_index : (m, 3) in the base, and (m,) the pose of the table at which each was taken.
     covariance : (3, 3) or (m, 3, 3) of a point, m^2, independent of the others.
-    up : (3,) against gravity in the base, unit length; the zero of axis 1 is told by it.
+    up : (3,) against gravity in the base; the zero of axis 1 is told by it.
     """
 
     points_m: FloatArray
@@ -74,6 +74,14 @@ class PositionerTask(SensorTask):
 
     def indices(self) -> Mapping[str, tuple[Any, int]]:
         return {"pose_index": (self.pose_index, len(self.motion))}
+
+    def check_noise(self) -> list[Finding]:
+        """What is wrong with the noise, and with the direction that is up."""
+        found = checks.numbers({"up": (self.up, (3,))})
+        return found + checks.covariances({"covariance": (self.covariance, len(self.points_m))})
+
+    def _check_noise(self) -> list[Finding]:
+        return checks.first_of(self.check_noise, super()._check_noise)
 
     def rough(self) -> Belief:
         return super().rough().without([ANGLE_ERRORS])
@@ -140,6 +148,9 @@ class PositionerPoints(PositionerTask, MarkerTask):
 
     def covariance_of_points(self) -> FloatArray:
         return np.broadcast_to(self.covariance, (len(self.points_m), 3, 3))
+
+    def check_noise(self) -> list[Finding]:
+        return PositionerTask.check_noise(self)
 
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return MarkerTask.arrays(self)

@@ -117,6 +117,7 @@ def _derived(problem: PositionerTask, belief: Belief) -> tuple[Derived, ...]:
     if any(name not in belief for name in AXES):
         return ()
     up = np.asarray(problem.up, dtype=np.float64)
+    up = up / max(float(np.linalg.norm(up)), _PARALLEL)
     found = [
         _of(belief, "axes apart", _apart, "m"),
         _of(belief, "angle between axes", _between, "rad"),

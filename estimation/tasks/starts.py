@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from estimation.transform import FloatArray, Transform
 
 _RIDGE: Final = 1e-9  # of the mean diagonal: unknowns that these data do not see stay at zero
+_WELL_DETERMINED: Final = 1e-3  # smallest over largest singular value
 SMALLEST_GAP_RAD: Final = np.deg2rad(20.0)  # two starts closer than this roll into the same minimum
 
 
@@ -104,6 +105,23 @@ def on_points(
     residual = np.einsum("gmk,gk->gm", design, solution) - target.reshape(count, -1)
     centre = solution[:, 3:6] - np.einsum("gij,j->gi", holder, marker_p.mean(axis=0))
     return _poses(grid, solution[:, :3]), _poses(holder, centre), _rms(residual)
+
+
+def on_one_point(pose: FloatArray, sensor_p: FloatArray) -> FloatArray | None:
+    """Rotation (3, 3) of a sensor that sees one point from all poses; None where it cannot be told so.
+
+    pose (m, 4, 4) far_T_near, sensor_p (m, 3). Nine free numbers stand for the rotation, which makes it all
+    linear: it takes points that are spread in space.
+    """
+    rows, near = len(pose), pose[:, :3, :3]
+    axes = np.einsum("mij,mk->mijk", near, sensor_p).reshape(rows, 3, 9)
+    minus = np.broadcast_to(-np.eye(3), (rows, 3, 3))
+    design = np.concatenate([near, minus, axes], axis=2).reshape(3 * rows, 15)
+    singular = np.linalg.svd(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12), compute_uv=False)
+    if rows < 5 or singular[-1] < _WELL_DETERMINED * singular[0]:
+        return None
+    solution = least_squares(design[None], -pose[:, :3, 3].reshape(1, -1))[0]
+    return nearest_rotation(solution[6:].reshape(3, 3))
 
 
 def spun(frame: Transform) -> Transform:

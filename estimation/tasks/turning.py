@@ -107,9 +107,14 @@ class Turning:
     def check(self) -> Sequence[Finding]:
         return checks.first_of(
             lambda: checks.numbers({"angles_rad": (self.angles_rad, (None, 2))}),
-            lambda: checks.deviations({"std_rad of angles": self.std_rad}),
+            self._check_std,
             lambda: checks.angles({"angles_rad": self.angles_rad}),
         )
+
+    def _check_std(self) -> list[Finding]:
+        if np.shape(self.std_rad) in ((), (2,)):
+            return checks.deviations({"std_rad of angles": self.std_rad})
+        return checks.numbers({"std_rad of angles": (self.std_rad, (2,))})
 
     def mistakes(self) -> Sequence[tuple[Finding, Motion]]:
         degrees = Finding(Cause.WRONG_UNITS, "The angles fit when taken as degrees", "Give radians")

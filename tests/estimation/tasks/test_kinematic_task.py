@@ -1,6 +1,8 @@
 """Kinematic parameters: gauge freedoms, an independent solver, coverage, compliance, refusals."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,10 +137,10 @@ def replica_errors(seeds: range) -> tuple[FloatArray, int]:
 
 
 def test_the_truth_lies_in_the_stated_region_as_often_as_it_should() -> None:
-    squares, freedoms = replica_errors(range(100, 116))
+    squares, freedoms = replica_errors(range(100, 112))
     assert np.mean(squares) == pytest.approx(freedoms, abs=3.3 * np.sqrt(2 * freedoms / len(squares)))
     inside = int(np.sum(squares < 40.113))  # chi-square of 27, 95 %
-    assert inside >= 12
+    assert inside >= 9
 
 
 @pytest.mark.campaign
@@ -239,7 +241,7 @@ def plate_task() -> PointLaserOnPlane:
 
 
 def test_one_level_plate_leaves_parameters_open_that_get_no_number_or_only_their_prior() -> None:
-    flat = calibrate(KinematicTask(measured=plate_task()))
+    flat = calibrate(KinematicTask(measured=plate_task()), explain=False)
     assert flat.status is Status.REFUSED and flat.arm is None
     assert "a1 of kinematics is not seen by the measurements" in flat.findings[0].problem
     assert "give a prior" in flat.findings[0].remedy
@@ -256,6 +258,9 @@ def test_one_level_plate_leaves_parameters_open_that_get_no_number_or_only_their
     assert "a1 of kinematics is known from the prior only" in said
     assert "theta1 of kinematics is known from the prior only" in said
     assert not any("a4" in words for words in said)
+    note = found.notes[-1].removeprefix("Known from priors only: ").removesuffix(".")
+    ends = {"theta1", "d1", "theta6", "d6", "a6", "alpha6"}
+    assert set(note.split(", ")) == {*ends, "a1", "d2", "d3"}
 
 
 def test_a_laser_of_unknown_scale_leaves_the_size_of_the_arm_open() -> None:
@@ -338,3 +343,45 @@ def test_exchanged_joints_are_recognised_whatever_the_arm_is_like() -> None:
     result = calibrate(replace(cell.problem, measured=replace(measured, motion=swapped)))
     assert result.status is Status.REFUSED
     assert result.findings[-1].cause is Cause.SWAPPED_JOINTS
+
+
+Change = Callable[[Tracker, Joints], dict[str, Any]]
+HOSTILE: dict[str, tuple[Change, set[Cause]]] = {
+    "noise is no number": (lambda t, m: {"std_m": np.nan}, {Cause.NOISE}),
+    "noise below zero": (lambda t, m: {"angle_std_rad": -1e-6}, {Cause.NOISE}),
+    "points of another arm": (
+        lambda t, m: {"points_m": t.points_m[::-1]},
+        {Cause.NO_SOLUTION, Cause.CLUSTERED_OUTLIERS, Cause.INCONSISTENT},
+    ),
+    "a joint short": (
+        lambda t, m: {"motion": replace(m, joints_rad=m.joints_rad[:, :5])},
+        {Cause.WRONG_SHAPE},
+    ),
+    "no joints": (lambda t, m: {"motion": replace(m, joints_rad=np.nan * m.joints_rad)}, {Cause.NOT_FINITE}),
+    "degrees": (
+        lambda t, m: {"motion": replace(m, joints_rad=np.degrees(m.joints_rad))},
+        {Cause.WRONG_UNITS},
+    ),
+    "two payloads": (
+        lambda t, m: {"motion": replace(m, load=GravityLoad(1.0, (0.0, 0.0)))},
+        {Cause.WRONG_SHAPE},
+    ),
+    "two compliances": (
+        lambda t, m: {"motion": replace(m, load=GravityLoad(1.0), compliance_std=[1e-5, 1e-5])},
+        {Cause.WRONG_SHAPE},
+    ),
+    "prior is no number": (
+        lambda t, m: {"motion": replace(m, arm=replace(m.arm, free=((1, "a"),)), kinematics_std=np.nan)},
+        {Cause.WRONG_SHAPE},
+    ),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", HOSTILE)
+def test_bad_data_are_refused_without_a_warning(name: str) -> None:
+    cell = tracker_cell(np.random.default_rng(5), count=40)
+    measured, (change, cause) = cell.problem.measured, HOSTILE[name]
+    assert isinstance(measured, Tracker) and isinstance(measured.motion, Joints)
+    changed = replace(measured, **change(measured, measured.motion))
+    assert refusal(replace(cell.problem, measured=changed))[0] in cause

@@ -1,6 +1,8 @@
 """Axes of a positioner: truth within the covariance, an independent solver, laws, and what cannot be told."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,10 +85,10 @@ def test_no_guess_is_needed_and_the_truth_is_within_the_covariance(name: str) ->
 
 
 def test_the_truth_lies_in_the_stated_region_as_often_as_it_should() -> None:
-    cells = [positioner_cell(np.random.default_rng(200 + seed)) for seed in range(16)]
+    cells = [positioner_cell(np.random.default_rng(200 + seed)) for seed in range(10)]
     squares = np.array([nees(calibrate_axes(cell.problem), cell) for cell in cells])
     assert squares.mean() == pytest.approx(8.0, abs=3.3 * np.sqrt(16.0 / len(squares)))
-    assert np.sum(squares < 15.507) >= 12  # chi-square of 8, 95 %
+    assert np.sum(squares < 15.507) >= 7  # chi-square of 8, 95 %
 
 
 @pytest.mark.campaign
@@ -236,3 +238,24 @@ def test_an_outlier_is_left_out_and_flagged() -> None:
     assert found.status is Status.FLAGGED
     assert np.flatnonzero(found.rejected).tolist() == [9, 10, 11]
     assert nees(found, cell) < 8 + 5 * np.sqrt(16)
+
+
+HOSTILE: dict[str, tuple[Callable[[PositionerPoints], dict[str, Any]], Cause]] = {
+    "covariance of two": (lambda p: {"covariance": np.eye(2)}, Cause.WRONG_SHAPE),
+    "covariance is no number": (lambda p: {"covariance": np.full((3, 3), np.nan)}, Cause.NOT_FINITE),
+    "covariance below zero": (lambda p: {"covariance": -np.eye(3)}, Cause.NOISE),
+    "one point": (lambda p: {"points_m": np.tile(p.points_m[:1], (16, 1))}, Cause.UNDETERMINED),
+    "three angles": (
+        lambda p: {"motion": replace(p.motion, angles_rad=np.zeros((16, 3)))},  # type: ignore[type-var]
+        Cause.WRONG_SHAPE,
+    ),
+    "three stds": (lambda p: {"motion": replace(p.motion, std_rad=np.ones(3))}, Cause.WRONG_SHAPE),  # type: ignore[type-var]
+    "two ups": (lambda p: {"up": (0.0, 1.0)}, Cause.WRONG_SHAPE),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", HOSTILE)
+def test_bad_data_are_refused_without_a_warning(name: str) -> None:
+    problem, (change, cause) = positioner_cell(np.random.default_rng(1)).problem, HOSTILE[name]
+    assert causes(calibrate_axes(replace(problem, **change(problem)), explain=False)) == {cause}
