@@ -72,12 +72,13 @@ def estimate(
         )
     given = Given(mounting, arm_noise, sensor_noise)
     with options.working(f"reading {dataset.name}") as say:
+        place = ""
         if program is not None or dataset.suffix.lower() in _SAMPLES:
             found = _imported(dataset, program, given, csv, write)
         else:
-            found = _read(dataset, given, csv, write)
+            found, place = _read(dataset, given, csv, write)
         say("estimating")
-        answer = solved(found)
+        answer = solved(found, place)
         if report is not None:
             from controller.offline.estimate_page import page
 
@@ -105,9 +106,10 @@ def _imported(
     return dataset_of(content, path.name)
 
 
-def _read(path: Path, given: "Given", csv: Path | None, write: Path | None) -> "Dataset":
+def _read(path: Path, given: "Given", csv: Path | None, write: Path | None) -> tuple["Dataset", str]:
+    """The data set, and where its units stand."""
     from controller.offline.csv_columns import read_joints_and_ranges
-    from controller.offline.dataset import read_dataset
+    from controller.offline.dataset import read_dataset, units_at
     from controller.offline.refusal import BadInput
 
     if given != type(given)() or write is not None:
@@ -115,7 +117,8 @@ def _read(path: Path, given: "Given", csv: Path | None, write: Path | None) -> "
             "--mounting, --arm-noise, --sensor-noise and --write go with samples of another program",
             f"{path.name} is read as a data set; give --from if it is none",
         )
-    return read_dataset(path, None if csv is None else read_joints_and_ranges(csv))
+    found = read_dataset(path, None if csv is None else read_joints_and_ranges(csv))
+    return found, units_at(path, csv)
 
 
 def _print(answer: "Estimate") -> None:

@@ -3,12 +3,14 @@
 import csv
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from controller.cellfile.lines import KeyPath
+from controller.offline.number_table import BadBlock, read_numbers
 from controller.offline.refusal import BadFile
 
 _HEADER: Final = re.compile(
@@ -26,20 +28,23 @@ def read_joints_and_ranges(path: Path) -> dict[KeyPath, Any]:
     separate; `#` begins a comment. Raises BadFile with the line: nothing is skipped or guessed.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise BadFile(
             f"{path}: cannot be read as text ({error})", "Name a CSV of joints and ranges"
         ) from error
-    rows = [(n, line) for n, text in enumerate(lines, 1) if (line := text.partition("#")[0].strip())]
-    if len(rows) < 2:
+    filled = (place for place, line in enumerate(lines) if line.partition("#")[0].strip())
+    first = next(filled, None)
+    if first is None or next(filled, None) is None:
         raise BadFile(
             f"{path.name}: no measurements", f"Write a header {_EXAMPLE}, then one row for each pose"
         )
-    first, header = rows[0]
+    header = lines[first].partition("#")[0].strip()
     separator = ";" if ";" in header else ","
-    names, units = _header(_split(header, separator), f"{path.name}:{first}")
-    table = np.array([_numbers(_split(line, separator), names, f"{path.name}:{n}") for n, line in rows[1:]])
+    names, units = _header(_split(header, separator), f"{path.name}:{first + 1}")
+    table = read_numbers(lines, first + 1, separator, len(names), quote='"')
+    if isinstance(table, BadBlock):
+        _refuse_first_bad_row(lines, table, separator, names, path.name)
     joints = [names.index(f"j{i + 1}") for i in range(len(names) - 1)]
     return {
         ("units",): units,
@@ -75,11 +80,22 @@ def _header(fields: list[str], place: str) -> tuple[list[str], dict[str, str]]:
     return names, {kind: next(iter(words)) for kind, words in used.items()}
 
 
-def _numbers(fields: list[str], names: list[str], place: str) -> list[float]:
+def _refuse_first_bad_row(
+    lines: Sequence[str], block: BadBlock, separator: str, names: list[str], file: str
+) -> NoReturn:
+    for number, text in enumerate(lines[block.start : block.stop], block.start + 1):
+        if line := text.partition("#")[0].strip():
+            _refuse_bad_numbers(_split(line, separator), names, f"{file}:{number}")
+    raise BadFile(
+        f"{file}:{block.start + 1} to {block.stop}: the numbers cannot be read",
+        "Write plain numbers with decimal points",
+    )
+
+
+def _refuse_bad_numbers(fields: list[str], names: list[str], place: str) -> None:
     if len(fields) != len(names):
         hint = "; decimal commas need semicolons between columns" if len(fields) > len(names) else ""
         raise BadFile(f"{place}: {len(fields)} columns, the header has {len(names)}{hint}", "Mend the row")
-    numbers = []
     for field, name in zip(fields, names, strict=True):
         try:
             number = float(field)
@@ -88,5 +104,3 @@ def _numbers(fields: list[str], names: list[str], place: str) -> list[float]:
             raise BadFile(f"{place}: {field!r} in column {name} is not a number", remedy) from None
         if not np.isfinite(number):
             raise BadFile(f"{place}: {field!r} in column {name} is not finite", "Take the pose out")
-        numbers.append(number)
-    return numbers

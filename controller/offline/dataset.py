@@ -73,6 +73,13 @@ def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> Datas
     return _validated(path.name, text, data, task)
 
 
+def units_at(path: Path, csv: Path | None = None) -> str:
+    """Where a data set that was read says how lengths are meant: file and line, of each part with units."""
+    lines = _lines(path.read_text(encoding="utf-8-sig"))
+    places = [f"{path.name}:{line}" for key, line in lines.items() if key[-2:] == ("units", "length")]
+    return " and ".join(places) or f"the header of {csv.name if csv is not None else path.name}"
+
+
 def dataset_of(content: dict[str, Any], name: str) -> Dataset:
     """The data set of content that was made from a file of that name. Raises BadFile."""
     return _validated(name, "", content, content["task"])

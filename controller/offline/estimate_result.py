@@ -1,7 +1,7 @@
 """The estimate of a data set for people and for scripts: millimetres, degrees and covariance."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -30,7 +30,7 @@ class Estimate:
     Attributes
     ----------
     status : usable; not_usable (values with uncertainties that do not hold); refused (no values).
-    reason : why it is not usable; empty otherwise. `notes` are other things to look at.
+    reason : why it is not usable; empty otherwise. `notes` are other things to look at, `causes` their kinds.
     update : posterior and diagnostics, None when refused.
     parameters : posterior of the blocks that a user asked for, or that the data made better known.
     second_cost : cost of the next best solution over that of the best, None if there is none.
@@ -42,6 +42,7 @@ class Estimate:
     status: str
     reason: str
     notes: tuple[str, ...] = ()
+    causes: frozenset[Cause] = frozenset()
     update: Update | None = None
     parameters: Belief | None = None
     second_cost: float | None = None
@@ -49,23 +50,39 @@ class Estimate:
     derived: tuple[Derived, ...] = ()
 
 
-def estimate(dataset: Dataset) -> Estimate:
-    """Solve it; never raises for bad data, which come back refused with their cause."""
-    return of_result(dataset.solved())
+def estimate(dataset: Dataset, units_at: str = "") -> Estimate:
+    """Solve it; never raises for bad data, which come back refused with their cause.
+
+    units_at : where the units stand, "set.json:5", for a refusal that has to do with them.
+    """
+    found = of_result(dataset.solved())
+    if Cause.WRONG_UNITS not in found.causes or not units_at:
+        return found
+    return replace(found, reason=f"{found.reason} The units stand in {units_at}.")
 
 
 def of_result(result: Result) -> Estimate:
     """A result of the estimator, judged by what a user may do with it."""
+    causes = frozenset(finding.cause for finding in result.findings)
     if result.estimate is None:
-        return Estimate(result.task, REFUSED, " ".join(result.notes))
+        return Estimate(result.task, REFUSED, " ".join(result.notes), causes=causes)
     copies = [str(finding) for finding in result.findings if finding.cause is Cause.DUPLICATED]
     reason = " ".join([*copies, _unexplained(result.estimate)]).strip()
     second = None if result.ambiguity is None else result.ambiguity.ratio
     shown = result.belief.marginal(result.shown)
     status = NOT_USABLE if reason else USABLE
-    arm = result.arm if isinstance(result, Calibrated) else None
-    derived = result.derived if isinstance(result, Positioned) else ()
-    return Estimate(result.task, status, reason, result.notes, result.estimate, shown, second, arm, derived)
+    return Estimate(
+        result.task,
+        status,
+        reason,
+        result.notes,
+        causes,
+        result.estimate,
+        shown,
+        second,
+        arm=result.arm if isinstance(result, Calibrated) else None,
+        derived=result.derived if isinstance(result, Positioned) else (),
+    )
 
 
 def _unexplained(update: Update) -> str:

@@ -1,17 +1,18 @@
 """Points from CSV, TXT and XYZ: three columns of numbers, one point a line.
 
-Fast where the file is clean: numpy's own parser reads it. Where that stumbles, a slow second reading finds
-the first bad line and says what is wrong. Nothing is skipped but blank lines, comments (#) and one header.
+Where the fast reading stumbles, a slow second one of that block of lines finds the first bad line and says
+what is wrong. Nothing is skipped but blank lines, comments (#) and one header.
 """
 
-import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 
 import numpy as np
 
+from controller.offline.number_table import BadBlock, read_numbers
 from controller.offline.refusal import BadFile
 from controller.offline.units import refuse_other_unit
 from estimation.transform import FloatArray
@@ -40,23 +41,19 @@ def read_text_points(path: Path, unit: str) -> FloatArray:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(f"{path.name}: not a text file", "Export the points as CSV, TXT or XYZ") from error
-    layout = _layout(text, path.name, unit)
-    body = text.split("\n", layout.first_line - 1)[-1] if layout.first_line > 1 else text
-    try:
-        table = np.loadtxt(io.StringIO(body), delimiter=layout.separator, ndmin=2)
-    except ValueError:
-        _refuse_first_bad_line(text, layout, path.name)
-    points = table[:, list(layout.columns)]
-    if table.shape[1] != layout.width or not np.isfinite(points).all():
-        _refuse_first_bad_line(text, layout, path.name)
-    return np.ascontiguousarray(points)
+    lines = text.split("\n")
+    layout = _layout(lines, path.name, unit)
+    table = read_numbers(lines, layout.first_line - 1, layout.separator, layout.width)
+    if isinstance(table, BadBlock):
+        _refuse_first_bad_line(lines, table, layout, path.name)
+    return np.ascontiguousarray(table[:, list(layout.columns)])
 
 
-def _layout(text: str, name: str, unit: str) -> _Layout:
+def _layout(lines: Sequence[str], name: str, unit: str) -> _Layout:
     """Reads down to the first point. Raises BadFile where there is none."""
     header: str | None = None
     header_line = 0
-    for number, line in enumerate(io.StringIO(text), start=1):
+    for number, line in enumerate(lines, start=1):
         content, _, comment = line.partition("#")
         if comment:
             refuse_other_unit(comment, unit, name, number)
@@ -135,6 +132,7 @@ def _refuse_fields(fields: list[str], layout: _Layout, name: str, number: int) -
     if len(fields) < 3:
         raise BadFile(f"{place}: {len(fields)} columns, a point has 3", "Give x, y and z")
     if len(fields) != layout.width:
+        _refuse_decimal_commas(",".join(fields), name, number)
         raise BadFile(
             f"{place}: {len(fields)} columns by {_SEPARATORS[layout.separator]}, "
             f"the lines before have {layout.width}",
@@ -151,10 +149,10 @@ def _refuse_fields(fields: list[str], layout: _Layout, name: str, number: int) -
             raise BadFile(f"{place}: {field!r} is not a finite number", "Mend or remove the line")
 
 
-def _refuse_first_bad_line(text: str, layout: _Layout, name: str) -> NoReturn:
-    for number, line in enumerate(io.StringIO(text), start=1):
+def _refuse_first_bad_line(lines: Sequence[str], block: BadBlock, layout: _Layout, name: str) -> NoReturn:
+    for number, line in enumerate(lines[block.start : block.stop], start=block.start + 1):
         content = line.partition("#")[0]
-        if number < layout.first_line or not content.strip():
+        if not content.strip():
             continue
         other = _separator(content)
         if other != layout.separator and other is not None:
@@ -165,4 +163,7 @@ def _refuse_first_bad_line(text: str, layout: _Layout, name: str) -> NoReturn:
                 "Use one separator throughout",
             )
         _refuse_fields(_fields(content, layout.separator), layout, name, number)
-    raise BadFile(f"{name}: the numbers cannot be read as points", "Export x, y and z as plain numbers")
+    raise BadFile(
+        f"{name}, line {block.start + 1} to {block.stop}: the numbers cannot be read as points",
+        "Export x, y and z as plain numbers",
+    )

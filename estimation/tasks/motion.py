@@ -18,7 +18,14 @@ from estimation.transform import FloatArray
 
 KINEMATICS: Final = "kinematics"
 COMPLIANCE: Final = "compliance"
-UNIT_FACTORS: Final = {1e-3: "m for mm", 1e3: "mm for m", 25.4: "inches for mm", 1 / 25.4: "mm for inches"}
+UNIT_FACTORS: Final = {  # numbers that are too large by so much, and what was taken for what
+    1e-3: "m for mm",
+    1e3: "mm for m",
+    25.4: "mm for inches",
+    1 / 25.4: "inches for mm",
+    10.0: "mm for cm",
+    0.1: "cm for mm",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -210,8 +210,8 @@ class SensorTask:
         return {**values, **spun}
 
     def explanations(self) -> Sequence[tuple[Finding, "SensorTask"]]:
-        """Mistakes with motion, units and labels."""
-        found = [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]
+        """Mistakes with units, which are quickest to make, with motion and with labels."""
+        found: list[tuple[Finding, SensorTask]] = []
         lengths = self._lengths()
         together = [tuple(lengths)] if len(lengths) > 1 else []
         for names in (*((name,) for name in lengths), *together):
@@ -220,6 +220,7 @@ class SensorTask:
                 finding = Finding(Cause.WRONG_UNITS, f"{what} by {factor:.4g}: {units}", "Give metres")
                 scaled: dict[str, Any] = {name: lengths[name] / factor for name in names}
                 found.append((finding, replace(self, **scaled)))
+        found += [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]
         return found + self.relabelled()
 
     def relabelled(self) -> list[tuple[Finding, "SensorTask"]]:

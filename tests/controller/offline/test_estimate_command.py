@@ -268,6 +268,29 @@ def test_a_bad_csv_is_refused(
     assert sentence in err
 
 
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "table.csv: no measurements"),
+        ("# nothing\n\n", "table.csv: no measurements"),
+        ("j1 [deg];range [mm]\n", "table.csv: no measurements"),
+        ("j1 [deg];range [mm]\n1;2\n3,4\n", "table.csv:3: 1 columns, the header has 2"),
+        ("j1 [deg],range [mm]\n1,5,2,5\n", "table.csv:2: 4 columns, the header has 2; decimal commas need"),
+        ("j1 [deg],range [mm]\n1,2\n3,inf\n", "table.csv:3: 'inf' in column range is not finite"),
+        ("j1 [deg],range [mm]\n1,2\n\n# x\n3,\n", "table.csv:5: '' in column range is not a number"),
+    ],
+)
+def test_a_csv_without_numbers_is_refused(
+    run: Run, content: dict[str, Any], tmp_path: Path, text: str, sentence: str
+) -> None:
+    (tmp_path / "rest.json").write_text(json.dumps(_table(content)[1]))
+    (tmp_path / "table.csv").write_text(text)
+    code, out, err = run(tmp_path / "rest.json", "--csv", tmp_path / "table.csv")
+    assert (code, out) == (ExitCode.BAD_INPUT, "")
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
 def test_every_task_has_its_form_and_schema(run: Run) -> None:
     assert set(DATASETS) == {*TASKS, *KINEMATIC_TASKS, "localization"}
     made = {ALL_CELLS[name](np.random.default_rng(1)).problem.task for name in ALL_CELLS}

@@ -3,6 +3,7 @@
 import json
 import runpy
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,7 @@ def test_a_mistake_is_named_with_its_line(name: str, refused: Callable[[dict[str
     assert problem.startswith("bad.json:")
 
 
-def test_poses_the_wrong_way_round_are_refused_with_the_cause(run: Run, tmp_path: Any) -> None:
+def test_poses_the_wrong_way_round_are_refused_with_the_cause(run: Run, tmp_path: Path) -> None:
     said = content("pose-pairs")
     said["seen"]["matrices"] = np.linalg.inv(np.array(said["seen"]["matrices"])).tolist()
     (tmp_path / "set.json").write_text(json.dumps(said))
@@ -94,3 +95,21 @@ def test_poses_the_wrong_way_round_are_refused_with_the_cause(run: Run, tmp_path
     assert code == ExitCode.NOT_DECIDABLE
     assert json.loads(out)["status"] == "refused"
     assert "fit when base_T_flange or sensor_T_object are inverted" in json.loads(out)["reason"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(25.4, "mm for inches"), (1e-3, "m for mm"), (10.0, "mm for cm"), (1e3, "millimetres")],
+)
+def test_a_wrong_unit_is_named_with_the_line_of_the_units(
+    factor: float, words: str, run: Run, tmp_path: Path
+) -> None:
+    said = content("move-pairs")
+    matrices = np.array(said["moves"]["matrices"])
+    matrices[:, :3, 3] *= factor
+    said["moves"]["matrices"] = matrices.tolist()
+    (tmp_path / "set.json").write_text(json.dumps(said, indent=1))
+    code, out, _ = run(tmp_path / "set.json")
+    assert code == ExitCode.NOT_DECIDABLE
+    assert words in out
+    assert "The units stand in set.json:6." in out
