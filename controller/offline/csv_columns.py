@@ -27,6 +27,8 @@ def read_joints_and_ranges(path: Path) -> dict[KeyPath, Any]:
     The header names the joints j1 to jn and the range, each with its unit, in any order; commas or semicolons
     separate; `#` begins a comment. Raises BadFile with the line: nothing is skipped or guessed.
     """
+    if not path.is_file():
+        raise BadFile(f"{path}: there is no such file", "Name a CSV of joints and ranges")
     try:
         lines = path.read_text(encoding="utf-8-sig").split("\n")
     except (OSError, UnicodeDecodeError) as error:

@@ -50,6 +50,8 @@ def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> Datas
 
     Raises BadFile with all mistakes of the file, each in one sentence with its line and key.
     """
+    if not path.is_file():
+        raise BadFile(f"{path}: there is no such file", "Name a data set in JSON")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

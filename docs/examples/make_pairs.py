@@ -1,10 +1,11 @@
-"""Writes pose-pairs.json, pose-pairs-beside.json, move-pairs.json and two-robots.json from known truth.
+"""Writes pose-pairs.json, its like for other tasks, and camera.samples from known truth and a seed.
 
     python docs/examples/make_pairs.py
 
 A camera sees the pose of a board at 15 poses of the arm: on the flange, while the board stands; and beside
 the arm, which carries the board. In the third file a tracker on the flange reports how it moved from each
-pose to the next. In the last file two arms, each with a camera, see the same board. An arm reports its poses
+pose to the next. In two-robots.json two arms, each with a camera, see the same board. camera.samples has the
+pairs of pose-pairs.json as easy_handeye2 saves its samples. An arm reports its poses
 with 0.02 mm and 0.002 deg of noise, a sensor with 0.05 mm and 0.01 deg. Everything here is plain geometry;
 nothing of the estimator is used. SENSOR_MM and OBJECT_MM are the truth, OTHER_BASE_MM that of the two arms.
 """
@@ -122,6 +123,21 @@ def pairs(rng, task, sensor, place):
     return content
 
 
+def samples(content):
+    """Pose pairs as easy_handeye2 saves its samples: metres and quaternions."""
+    lines = ["parameters:", "  name: ''", "  calibration_type: ''", "samples:"]
+    pairs = zip(content["motion"]["matrices"], content["seen"]["matrices"], strict=True)
+    for pair in pairs:
+        for name, matrix in zip(("- robot", "  tracking"), map(np.array, pair), strict=True):
+            quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+            origin = matrix[:3, 3] * 1e-3
+            lines += [f"{name}:", "    translation:"]
+            lines += [f"      {axis}: {number:.7f}" for axis, number in zip("xyz", origin, strict=True)]
+            lines.append("    rotation:")
+            lines += [f"      {axis}: {number:.9f}" for axis, number in zip("xyzw", quaternion, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
 def text(content):
     """JSON with one row of numbers a line."""
     return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", _one_line, json.dumps(content, indent=1)) + "\n"
@@ -134,3 +150,4 @@ def _one_line(match):
 if __name__ == "__main__":
     for name in (*SENSOR_MM, "two-robots"):
         Path(__file__).with_name(f"{name}.json").write_text(text(dataset(name)), encoding="utf-8")
+    Path(__file__).with_name("camera.samples").write_text(samples(dataset("pose-pairs")), encoding="utf-8")

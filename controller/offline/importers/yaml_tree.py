@@ -106,6 +106,8 @@ class Tree:
 
 def read_tree(path: Path) -> Tree:
     """The root of a file. Raises BadFile where it is empty, no text, or no YAML."""
+    if not path.is_file():
+        raise BadFile(f"{path}: there is no such file", "Name a YAML file")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

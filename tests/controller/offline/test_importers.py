@@ -1,6 +1,7 @@
 """Samples of other programs: the truth is found from them, and nothing is guessed."""
 
 import json
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from controller.offline.importers.given import Given
 from controller.offline.importers.names import Mounting, Program
 from controller.offline.importers.registry import imported
 from controller.offline.refusal import BadFile
-from tests.controller.offline.answers import Run, inside
+from tests.controller.offline.answers import EXAMPLES, Run, inside
 from tests.estimation.tasks.cells import (
     CAMERA_STD_M,
     POSE_STD,
@@ -236,6 +237,27 @@ def test_what_the_file_does_not_say_must_be_given(
     code, _, err = run(tmp_path / "s.yaml", *options)
     assert code == ExitCode.BAD_INPUT
     assert sentence in err
+
+
+def test_the_example_is_that_of_its_generator_and_says_the_same_as_its_data_set(run: Run) -> None:
+    generator = runpy.run_path(str(EXAMPLES / "make_pairs.py"))
+    samples = EXAMPLES / "camera.samples"
+    assert samples.read_text() == generator["samples"](generator["dataset"]("pose-pairs"))
+    noise = ("--arm-noise", "0.02 mm, 0.002 deg", "--sensor-noise", "0.05 mm, 0.01 deg")
+    code, out, _ = run(samples, *IN_HAND, *noise, "--json")
+    assert code == ExitCode.OK
+    other = json.loads(run(EXAMPLES / "pose-pairs.json", "--json")[1])
+    found = json.loads(out)
+    for name in ("sensor", "object"):
+        matrices = [np.array(each["parameters"][name]["matrix_mm"]) for each in (found, other)]
+        assert matrices[0] == pytest.approx(matrices[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["no.samples", "no.json"])
+def test_a_file_that_is_not_there_is_named(name: str, run: Run) -> None:
+    code, _, err = run(name)
+    assert code == ExitCode.BAD_INPUT
+    assert err.startswith(f"{name}: there is no such file.")
 
 
 def test_options_of_samples_do_not_go_with_a_data_set(run: Run, tmp_path: Path) -> None:
