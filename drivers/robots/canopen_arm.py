@@ -325,14 +325,15 @@ class CanopenArm:
         self._commanded = True
         self._command(codec.ENABLE | codec.NEW_SET_POINT | codec.CHANGE_IMMEDIATELY)
         self._master.hurry()
-        acknowledge_by_s = self._clock.now_s() + 0.5
+        within_s = self._master.sample_timeout_s
+        acknowledge_by_s = self._clock.now_s() + within_s
         while not (sample := self._motion_sample()).all_set & codec.SET_POINT_ACKNOWLEDGED:
             if self._clock.now_s() > acknowledge_by_s:
                 silent = [
                     i for i, word in enumerate(sample.statuswords) if not word & codec.SET_POINT_ACKNOWLEDGED
                 ]
                 raise DeviceTimeout(
-                    f"{self._master.name(silent)} did not take the set-point within 0.5 s",
+                    f"{self._master.name(silent)} did not take the set-point within {within_s:g} s",
                     "Reset; if it recurs, check the mode of operation of this drive",
                 )
         self._halted = False

@@ -65,7 +65,7 @@ class CanopenMaster:
         self._link, self._clock, self._on_fault = link, clock, on_fault
         self._heartbeat_timeout_s, self._most_missed = heartbeat_timeout_s, most_missed_syncs
         self._latest_answer_s = latest_answer_s
-        self._sample_timeout_s = max(0.5, LOST_ANSWERS * latest_answer_s)
+        self.sample_timeout_s = max(0.5, LOST_ANSWERS * latest_answer_s)
         self.node_ids = tuple(node_ids)
         self._period_s, self._heartbeat_id = sync_period_s, codec.HEARTBEAT + master_id
         self._cruise_period_s = max(sync_period_s, cruise_sync_period_s)
@@ -130,7 +130,7 @@ class CanopenMaster:
         Raises the latched fault unless `in_fault`, and DeviceTimeout.
         """
         with self.foreground():
-            timeout_s = self._sample_timeout_s if timeout_s is None else timeout_s
+            timeout_s = self.sample_timeout_s if timeout_s is None else timeout_s
             asked, deadline_s = self._sync_number, self._clock.now_s() + timeout_s
             while True:
                 if not in_fault:
