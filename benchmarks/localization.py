@@ -1,13 +1,6 @@
-"""Localization of a blade and thinning of stripes, against what users take today, on the same arrays.
+"""Localization of a blade and of a patch, and thinning of stripes, against what users take today."""
 
-Run with `python -m benchmarks.localization`. Needs the extra `bench`. Two threads for everybody.
-"""
-
-import statistics
-import time
-import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import open3d
@@ -15,39 +8,38 @@ import small_gicp
 from scipy.interpolate import NdBSpline
 from scipy.spatial import cKDTree
 
+from benchmarks.harness import Row, medians, peak_mb
 from estimation.localization.alignment import align, descent
 from estimation.localization.voxels import Voxels
 from estimation.surfaces.mesh import TriangleMesh
-from estimation.transform import FloatArray, Transform, exp_pose
+from estimation.surfaces.shape import Shape
+from estimation.transform import FloatArray, Transform, exp_pose, log_pose
 from tests.estimation.blade import blade_arrays, patch, points_on
 
+TITLE = "Localization"
+WORDS = (
+    "From the same start, 4 mm and 1.5 deg off. The blade has 80,000 triangles; its peer is "
+    "Open3D's closest points with Gauss-Newton, few points first; the patch's is scipy's "
+    "NdBSpline with Newton and Gauss-Newton. Stripes go into voxels of 0.5 mm; the peer is "
+    "numpy's transform with small_gicp's voxel grid, and its cost is the number of voxels."
+)
 STD_M = 3e-5
 START = exp_pose(np.array([2e-3, -3e-3, 1e-3, 0.02, -0.01, 0.015]))
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """Median seconds and peak memory of the peer and of ours; how far ours is from the peer's optimum."""
-
-    task: str
-    peer: str
-    peer_s: float
-    ours_s: float
-    peer_mb: float
-    ours_mb: float
-    error_sigma: float  # largest freedom of the pose, against the tight solution; NaN where there is none
-    cost_excess: float  # of ours over the peer's, relative
-
-    def __str__(self) -> str:
-        return (
-            f"{self.task}: {self.peer_s / self.ours_s:.1f} times {self.peer} "
-            f"({self.peer_s * 1e3:.1f} against "
-            f"{self.ours_s * 1e3:.1f} ms; {self.peer_mb:.0f} against {self.ours_mb:.0f} MB; "
-            f"{self.error_sigma:.1e} sigma, cost {self.cost_excess:+.1e})"
-        )
+def rows() -> list[Row]:
+    """Each task."""
+    out = []
+    for count, goal, repeat in ((2_304, None, 9), (100_000, 5.0, 5), (1_000_000, None, 3)):
+        out.append(mesh_localization(count, goal, repeat))
+        print(out[-1], flush=True)
+    for task in (patch_localization, stripe_thinning):
+        out.append(task())
+        print(out[-1], flush=True)
+    return out
 
 
-def mesh_localization(count: int, repeat: int = 5) -> Measured:
+def mesh_localization(count: int, goal: float | None, repeat: int) -> Row:
     """Points on a blade of 80,000 triangles against Open3D's closest points with Gauss-Newton."""
     vertices, triangles = blade_arrays(200, 200)
     mesh = TriangleMesh(vertices, triangles)
@@ -71,20 +63,14 @@ def mesh_localization(count: int, repeat: int = 5) -> Measured:
                 pose = _open3d_step(scene, level, pose)
         return pose
 
-    tight = descent(mesh, points, np.full(count, 1.0 / STD_M), ours(), tolerance=1e-9)
-    return _measured(
-        f"mesh, {count} points", "Open3D and Gauss-Newton", ours, peer, repeat,
-        lambda pose: mesh.sums(points, np.full(count, 1.0 / STD_M), pose, mesh.new_hints(count)).cost,
-        tight.pose, np.sqrt(np.diag(np.linalg.inv(tight.sums.information))),
-    )  # fmt: skip
+    return _row(f"mesh, {count:,} points", "Open3D, Gauss-Newton", goal, ours, peer, repeat, mesh, points)
 
 
-def patch_localization(count: int = 2304, repeat: int = 5) -> Measured:
+def patch_localization(count: int = 2304, repeat: int = 9) -> Row:
     """Points on a B-spline patch against scipy's NdBSpline with Newton's method and Gauss-Newton."""
     surface = patch()
     rng = np.random.default_rng(2)
     points = surface.points(rng.uniform(0, 1, (count, 2))) + STD_M * rng.normal(size=(count, 3))
-    weight = np.full(count, 1.0 / STD_M)
     spline = NdBSpline((surface.knots_u, surface.knots_v), surface.control_m, 3)
     u, v = np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40), indexing="ij")
     grid = np.column_stack([u.ravel(), v.ravel()])
@@ -102,15 +88,19 @@ def patch_localization(count: int = 2304, repeat: int = 5) -> Measured:
                 break
         return pose
 
-    tight = descent(surface, points, weight, START, tolerance=1e-9)
-    return _measured(
-        f"B-spline, {count} points", "scipy and Gauss-Newton", ours, peer, repeat,
-        lambda pose: surface.sums(points, weight, pose, surface.new_hints(count)).cost,
-        tight.pose, np.sqrt(np.diag(np.linalg.inv(tight.sums.information))),
-    )  # fmt: skip
+    return _row(
+        f"B-spline, {count:,} points",
+        "scipy NdBSpline, Gauss-Newton",
+        10.0,
+        ours,
+        peer,
+        repeat,
+        surface,
+        points,
+    )
 
 
-def stripe_thinning(stripes: int = 8_000, repeat: int = 3) -> Measured:
+def stripe_thinning(stripes: int = 8_000, repeat: int = 3) -> Row:
     """640 points a stripe into voxels of 0.5 mm, against numpy's transform with small_gicp's voxel grid."""
     rng = np.random.default_rng(3)
     y = np.linspace(-0.03, 0.03, 640)
@@ -127,14 +117,20 @@ def stripe_thinning(stripes: int = 8_000, repeat: int = 3) -> Measured:
 
     def peer() -> int:
         turned = np.einsum("kij,knj->kni", poses[:, :3, 1:3], yz) + poses[:, None, :3, 3]
-        thinned = small_gicp.voxelgrid_sampling(turned.reshape(-1, 3), 5e-4, num_threads=2)
+        thinned = small_gicp.voxelgrid_sampling(turned.reshape(-1, 3), 5e-4, num_threads=1)
         return len(thinned.points())
 
-    taken = _medians(ours, peer, repeat)
-    return Measured(
-        f"stripes, {stripes * 640} points", "numpy and small_gicp", taken[1], taken[0],
-        _peak_mb(peer), _peak_mb(ours), float("nan"), ours() / peer() - 1.0,
-    )  # fmt: skip
+    peer_s, ours_s = medians(peer, ours, repeat=repeat)
+    return Row(
+        f"stripes, {stripes * 640:,} points",
+        "numpy and small_gicp",
+        4.0,
+        peer_s,
+        ours_s,
+        peak_mb(peer),
+        peak_mb(ours),
+        cost_excess=ours() / peer() - 1.0,
+    )
 
 
 def _open3d_step(
@@ -168,44 +164,30 @@ def _scipy_step(
     return pose @ exp_pose(move), place, float(np.sqrt(move @ information @ move)) / STD_M
 
 
-def _measured(
-    task: str, peer_name: str, ours: Callable[[], FloatArray], peer: Callable[[], FloatArray], repeat: int,
-    cost: Callable[[FloatArray], float], tight: FloatArray, std: FloatArray,
-) -> Measured:  # fmt: skip
-    taken = _medians(ours, peer, repeat)
-    gap = np.linalg.inv(tight) @ ours()
-    error = np.array([*gap[:3, 3], gap[2, 1], gap[0, 2], gap[1, 0]])
-    return Measured(
-        task, peer_name, taken[1], taken[0], _peak_mb(peer), _peak_mb(ours),
-        float(np.max(np.abs(error) / std)), cost(ours()) / cost(peer()) - 1.0,
-    )  # fmt: skip
-
-
-def _medians(ours: Callable[[], object], peer: Callable[[], object], repeat: int) -> tuple[float, float]:
-    taken: tuple[list[float], list[float]] = ([], [])
-    for each in (ours, peer):
-        each()
-    for _ in range(repeat):
-        for call, times in zip((ours, peer), taken, strict=True):
-            begin = time.perf_counter()
-            call()
-            times.append(time.perf_counter() - begin)
-    return statistics.median(taken[0]), statistics.median(taken[1])
-
-
-def _peak_mb(call: Callable[[], object]) -> float:
-    tracemalloc.start()
-    call()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
-
-
-def measured() -> list[Measured]:
-    """All rows, in the order of the page."""
-    return [mesh_localization(2_304), mesh_localization(100_000), patch_localization(), stripe_thinning()]
-
-
-if __name__ == "__main__":
-    for row in measured():
-        print(row, flush=True)
+def _row(
+    task: str,
+    name: str,
+    goal: float | None,
+    ours: Callable[[], FloatArray],
+    peer: Callable[[], FloatArray],
+    repeat: int,
+    shape: Shape,
+    points: FloatArray,
+) -> Row:
+    peer_s, ours_s = medians(peer, ours, repeat=repeat)
+    weight, own = np.full(len(points), 1.0 / STD_M), ours()
+    tight = descent(shape, points, weight, own, tolerance=1e-9)
+    std = np.sqrt(np.diag(np.linalg.inv(tight.sums.information)))
+    costs = [shape.sums(points, weight, pose, shape.new_hints(len(points))).cost for pose in (own, peer())]
+    return Row(
+        task,
+        name,
+        goal,
+        peer_s,
+        ours_s,
+        peak_mb(peer),
+        peak_mb(ours),
+        float(np.max(np.abs(log_pose(np.linalg.inv(tight.pose) @ own)) / std)),
+        costs[0] / costs[1] - 1.0,
+        float(np.max(np.abs(log_pose(own)) / std)),  # the points were made where they are
+    )

@@ -12,6 +12,12 @@ from scipy.spatial.transform import Rotation
 from estimation.errors import DegenerateGeometry, EstimationError, FrameMismatch
 from estimation.transform import FloatArray, Transform, exp_pose, log_pose, skew
 
+try:
+    from estimation import ellipsoid_kernels as kernels
+except ImportError:  # numba is optional: numpy gives the same numbers
+    kernels = None  # type: ignore[assignment]
+
+COMPILED: Final = kernels is not None
 LEAST_COS_PITCH: Final = 1e-3  # form C closer than this to 90 deg of pitch is refused
 _INCONSISTENT: Final = 1e-6  # negative eigenvalue, as a share of the largest, that is no longer rounding
 
@@ -218,6 +224,19 @@ def ellipsoid(covariance: ArrayLike) -> Ellipsoid:
     size = matrices.shape[-1]
     unit_ball = math.pi ** (size / 2) / math.gamma(1 + size / 2)
     return Ellipsoid(axes, directions[..., ::-1], np.asarray(unit_ball * axes.prod(axis=-1)))
+
+
+def point_axes(pose: PoseCovariance, source_p: ArrayLike) -> FloatArray:
+    """Principal standard deviations (m, 3), the longest first, of points (m, 3) fixed in the source frame.
+
+    As `ellipsoid(pose.point_covariance(source_p)).axes`, for many points: a colour on a whole part.
+    """
+    points = np.ascontiguousarray(source_p, dtype=np.float64)
+    matrix = pose.in_form(Form.A).matrix
+    if COMPILED:
+        return np.asarray(kernels.point_axes(points, matrix))
+    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points)], axis=2)
+    return ellipsoid(jacobian @ matrix @ jacobian.swapaxes(1, 2)).axes
 
 
 def adjoint(matrix: FloatArray) -> FloatArray:

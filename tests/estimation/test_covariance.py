@@ -13,6 +13,7 @@ from estimation.covariance import (
     compound,
     ellipsoid,
     merge,
+    point_axes,
     relative,
     right_jacobian,
 )
@@ -224,6 +225,22 @@ def test_second_order_share_grows_with_rotation_and_distance() -> None:
     assert coarse.second_order_share(points[1:]).min() > 0.5
     flat = PoseCovariance(pose, np.diag([0.0] * 3 + [1e-4] * 3))
     assert flat.second_order_share(points).tolist() == [0.0, math.inf, math.inf]
+
+
+@given(seeds)
+def test_axes_of_many_points_are_those_of_each(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose, points = PoseCovariance(random_pose(rng), random_covariance(rng)), rng.uniform(-0.3, 0.3, (20, 3))
+    axes = point_axes(pose, points)
+    assert axes == pytest.approx(ellipsoid(pose.point_covariance(points)).axes, rel=1e-6)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("estimation.covariance.COMPILED", False)
+        assert point_axes(pose, points) == pytest.approx(axes, rel=1e-6)
+
+
+def test_axes_of_a_ball_are_its_radius() -> None:
+    pose = PoseCovariance(random_pose(np.random.default_rng(1)), np.diag([4e-8] * 3 + [0.0] * 3))
+    assert point_axes(pose, np.ones((2, 3))) == pytest.approx(np.full((2, 3), 2e-4))
 
 
 def test_ellipsoid_axes_and_volume() -> None:
