@@ -13,10 +13,13 @@ FloatArray = NDArray[np.float64]
 
 def skew(vectors: FloatArray) -> FloatArray:
     """Cross-product matrices (..., 3, 3) of vectors (..., 3): skew(a) @ b = a x b."""
-    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    vectors = np.asarray(vectors, dtype=np.float64)
+    matrices = np.zeros((*vectors.shape, 3))
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    matrices[..., 2, 1], matrices[..., 1, 2] = x, -x
+    matrices[..., 0, 2], matrices[..., 2, 0] = y, -y
+    matrices[..., 1, 0], matrices[..., 0, 1] = z, -z
+    return matrices
 
 
 def exp_pose(xi: FloatArray) -> FloatArray:

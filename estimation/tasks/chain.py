@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from estimation.belief import Belief, Value
 from estimation.model import Rows, pose_of, vector_of
-from estimation.surfaces import Feature, feature_table, signed_distance
+from estimation.surfaces import Feature, cross, feature_table, signed_distance
 from estimation.tasks.motion import Motion
 from estimation.transform import FloatArray, skew
 
@@ -224,7 +224,7 @@ class SensorChain:
 
 def pose_gradients(gradient: FloatArray, points: FloatArray) -> FloatArray:
     """g^T [I | -[p]x] (m, k, 6) of gradients (m, k, 3) and points (m, 3), in the perturbed frame."""
-    return np.concatenate([gradient, -gradient @ skew(points)], axis=-1)
+    return np.concatenate([gradient, cross(points[:, None], gradient)], axis=-1)
 
 
 def moved_poses(pose: FloatArray, twist: FloatArray) -> FloatArray:
