@@ -112,11 +112,11 @@ def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: 
     for number in range(_REWEIGHTINGS):
         # The first variance is that of the prior's values: no use in converging to the last digit with it.
         limit = tolerance if number else max(tolerance, _FIRST_TOLERANCE)
-        (z, before, _), course, reason, converged = _solve(chart, point, used / np.sqrt(variance), limit)
+        reached, course, reason, converged = _solve(chart, point, used / np.sqrt(variance), limit)
         costs.append(course)
-        chart, point = _weighed(chart, z)
+        chart, point = _weighed(chart, reached[0], reached)
         latest = row_variance(point[1])
-        turned = np.max(np.abs(point[1].residual_m - before.residual_m) / np.sqrt(variance))
+        turned = np.max(np.abs(point[1].residual_m - reached[1].residual_m) / np.sqrt(variance))
         settled = max(np.max(np.abs(latest / variance - 1.0)), turned) < tolerance
         variance = latest
         if not converged or (settled and number):
@@ -124,9 +124,12 @@ def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: 
     return Fit(*point, used, tuple(costs), reason, converged)
 
 
-def _weighed(chart: Chart, z: FloatArray) -> tuple[Chart, Point]:
-    chart = chart.weighed_at(z)
-    return chart, chart.evaluate(z)
+def _weighed(chart: Chart, z: FloatArray, known: Point | None = None) -> tuple[Chart, Point]:
+    """The chart that whitens as it does at z, and its rows there; `known` are those that it had so far."""
+    weighed = chart.weighed_at(z)
+    if known is not None and weighed.model is chart.model:
+        return chart, known
+    return weighed, weighed.evaluate(z)
 
 
 def robust_start(chart: Chart, z: FloatArray, robust: Robust) -> FloatArray:
