@@ -100,7 +100,7 @@ def rows() -> list[Row]:
             def ours(kind: str = kind, points: FloatArray = data.points_m) -> object:
                 return fit_surface(kind, points)
 
-            peer_s, ours_s = medians(peer.solve, ours, repeat=15 if count == 1000 else 5)
+            peer_s, ours_s = medians(peer.solve, ours, repeat=15 if count == 1000 else 3)
             fit = fit_surface(kind, data.points_m)
             residual = peer.residual(peer.solve())
             found.append(

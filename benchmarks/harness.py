@@ -72,6 +72,13 @@ def medians(*calls: Callable[[], object], repeat: int = 7) -> list[float]:
     return [statistics.median(times) for times in taken]
 
 
+def once(call: Callable[[], object]) -> float:
+    """CPU seconds of one call of what is compiled by now."""
+    start = time.process_time()
+    call()
+    return time.process_time() - start
+
+
 def peak_mb(call: Callable[[], object]) -> float:
     """Most memory that the process held in a call beyond its start, whoever asked for it."""
     gc.collect()

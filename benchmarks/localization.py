@@ -30,7 +30,7 @@ START = exp_pose(np.array([2e-3, -3e-3, 1e-3, 0.02, -0.01, 0.015]))
 def rows() -> list[Row]:
     """Each task."""
     out = []
-    for count, goal, repeat in ((2_304, None, 9), (100_000, 5.0, 5), (1_000_000, None, 3)):
+    for count, goal, repeat in ((2_304, None, 9), (100_000, 5.0, 5), (1_000_000, None, 1)):
         out.append(mesh_localization(count, goal, repeat))
         print(out[-1], flush=True)
     for task in (patch_localization, stripe_thinning):

@@ -13,6 +13,7 @@ from estimation.surfaces.shape import Shape, Sums
 from estimation.transform import FloatArray, Transform
 
 _COARSE: Final = (120, 1_000, 8_000)  # points that prepare the next level
+_KINKS: Final = 0.15  # of a step near the minimum on facets: the next one, 0.14 and 0.16 on a blade
 _UNSORTED: Final = 1_000  # points up to which sorting all of them does not pay
 _COARSE_TOLERANCE: Final = 0.03  # standard deviations, of the level
 _LARGEST_ITERATIONS: Final = 60
@@ -56,7 +57,7 @@ def align(
     start: Transform,
     *,
     huber: float = np.inf,
-    tolerance: float = 1e-4,
+    tolerance: float = 5e-4,
 ) -> Alignment:
     """The pose at which points are nearest to a surface, from a start that is near enough.
 
@@ -114,7 +115,8 @@ def _sorted(
 ) -> tuple[FloatArray, FloatArray]:
     """The points and their weights with neighbours next to each other."""
     order = shape.order(points, pose)
-    return np.take(points, order, axis=0), np.take(weight, order)
+    same = weight.min() == weight.max()  # as mostly
+    return np.take(points, order, axis=0), weight if same else np.take(weight, order)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,8 +145,9 @@ def descent(
         step = _step(sums, damping)
         length = float(np.sqrt(step @ sums.information @ step))
         trial = Transform("", "", pose).perturbed(step).matrix
-        # Near the minimum steps shrink by the same factor each time, and so does the error.
-        left = length * length / max(before, length, np.finfo(float).tiny)
+        # Near the minimum steps shrink by the same factor each time, and so does the error; but not as fast
+        # any more where what is left is a matter of points that change their facet.
+        left = length * max(length / max(before, length, np.finfo(float).tiny), _KINKS * shape.kinked)
         if left < tolerance and damping == 0.0:
             return Descent(trial, sums, passes, True, "step small")
         found = shape.sums(points, weight, trial, hints, huber)

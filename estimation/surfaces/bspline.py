@@ -120,6 +120,11 @@ class BSplinePatch:
         """The order (m,) in which points are best visited: as they come."""
         return np.arange(len(base_p))
 
+    @property
+    def kinked(self) -> bool:
+        """Smooth."""
+        return False
+
     @cached_property
     def coarse(self) -> TriangleMesh:
         """Triangles between the points from which feet are sought."""

@@ -120,6 +120,11 @@ class TriangleMesh:
         )
 
     @property
+    def kinked(self) -> bool:
+        """Between facets."""
+        return True
+
+    @property
     def coarse(self) -> "TriangleMesh":
         """Itself."""
         return self

@@ -87,6 +87,10 @@ class Shape(Protocol):
         """Derivatives (m, q) of the distances by the parameters."""
 
     @property
+    def kinked(self) -> bool:
+        """Whether distances have kinks, as between facets; elsewhere least squares converge faster."""
+
+    @property
     def coarse(self) -> "TriangleMesh":
         """Triangles near the surface, for a search over all poses; the mesh itself for a mesh."""
 

@@ -27,6 +27,11 @@ class Tangents:
         return ()
 
     @property
+    def kinked(self) -> bool:
+        """As the mesh."""
+        return True
+
+    @property
     def coarse(self) -> TriangleMesh:
         """The mesh."""
         return self.mesh
