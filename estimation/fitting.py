@@ -155,6 +155,14 @@ def robust_start(chart: Chart, z: FloatArray, robust: Robust) -> FloatArray:
     return point[0]
 
 
+def cauchy_cost(chart: Chart, z: FloatArray) -> float:
+    """Cost in which outliers count little: of honest data about that of least squares."""
+    chart, (_, rows, _) = _weighed(chart, z)
+    c = _TUNING["cauchy"]
+    size = _sizes(rows, np.sqrt(row_variance(rows)))
+    return float(rows.group * np.sum(c**2 * np.log1p((size / c) ** 2)) + z @ (chart.prior_rows * z))
+
+
 def gated(chart: Chart, z: FloatArray, robust: Robust, level: float, tolerance: float) -> Fit:
     """Mahalanobis gate: each observation against what all the other accepted ones predict for it."""
     start = chart.evaluate(z)

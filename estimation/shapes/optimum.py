@@ -114,13 +114,14 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
     centred = points_m - centre
     size = float(np.sqrt(np.mean(centred**2) * 3.0))
     unit = np.ascontiguousarray(centred / size)
+    rounding = _EXACT * float(weights @ weights if len(weights) else len(unit))
     found: list[Optimum] = []
     for start in best_starts(kind.starts(unit), unit, weights):
         each = minimise(start, unit, weights, 1.0, _COARSE, _COARSE_ITERATIONS)
         if np.isfinite(each.cost):
             found.append(each)
         lowest = min((other.cost for other in found), default=np.inf)
-        agreeing = [o for o in found if o.converged and o.cost <= lowest * (1.0 + _SAME) + _EXACT * len(unit)]
+        agreeing = [o for o in found if o.converged and o.cost <= lowest * (1.0 + _SAME) + rounding]
         if len(agreeing) >= _AGREEING:  # three ways to the same minimum, from the best starts
             break
     found.sort(key=lambda each: each.cost)
@@ -128,7 +129,7 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
     for each in found:
         if distinct and not each.converged:
             continue
-        if not distinct or each.cost > distinct[-1].cost * (1.0 + _SAME) + _EXACT * len(unit):
+        if not distinct or each.cost > distinct[-1].cost * (1.0 + _SAME) + rounding:
             distinct.append(each)
     return [
         replace(each, shape=each.shape.scaled(size, centre), cost=each.cost * size**2) for each in distinct

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimation.belief import Belief, Value
+from estimation.covariance import adjoint
 from estimation.model import Rows, pose_of, vector_of
 from estimation.surfaces import Feature, cross, feature_table, signed_distance
 from estimation.tasks.motion import Motion
@@ -186,7 +187,7 @@ class SensorChain:
             self.object: -pose_gradients(seen.gradient, object_p),
             **seen.own,
         }
-        for name, matrix in flange.jacobian.items():
+        for name, matrix in (flange.jacobian if shift is None else behind(flange.jacobian, shift)).items():
             jacobian[name] = by_twist @ matrix[place]
         if shift is not None:
             every = np.zeros((*by_twist.shape[:2], len(self.motion), 6))
@@ -233,6 +234,13 @@ def moved_poses(pose: FloatArray, twist: FloatArray) -> FloatArray:
     moved[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
     moved[:, :3, 3], moved[:, 3, 3] = twist[:, :3], 1.0
     return np.asarray(pose @ moved)
+
+
+def behind(jacobian: Mapping[str, FloatArray], shift: FloatArray) -> dict[str, FloatArray]:
+    """Body twists (k, 6, w) of poses, as twists of the same poses after they were moved by `shift` (k, 6)."""
+    moved = moved_poses(np.broadcast_to(np.eye(4), (len(shift), 4, 4)), shift)
+    back = adjoint(np.asarray(np.linalg.inv(moved)))
+    return {name: back @ matrix for name, matrix in jacobian.items()}
 
 
 def as_twists(shift: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from estimation.belief import POSE_FREEDOMS, Belief, Value
 from estimation.covariance import adjoint
 from estimation.model import Rows, pose_of, values_of, vector_of
 from estimation.tasks import checks, closed_forms
-from estimation.tasks.chain import SENSOR_NOISE, as_twists, moved_poses, whitening
+from estimation.tasks.chain import SENSOR_NOISE, as_twists, behind, moved_poses, whitening
 from estimation.tasks.closed_forms import inverse
 from estimation.tasks.findings import Finding
 from estimation.tasks.motion import Flange, Motion
@@ -63,6 +63,7 @@ class Moves:
         pose, jacobian, covariance = flange.pose, dict(flange.jacobian), flange.covariance
         if POSE_ERRORS in values:
             shift = vector_of(values, POSE_ERRORS).reshape(-1, 6)
+            jacobian = behind(jacobian, shift)
             every = np.zeros((len(pose), 6, len(pose), 6))
             every[np.arange(len(pose)), :, np.arange(len(pose))] = as_twists(shift)
             jacobian[POSE_ERRORS] = every.reshape(len(pose), 6, -1)

@@ -13,6 +13,8 @@ from estimation.transform import FloatArray
 _FIRST_DAMPING: Final = 1e-3
 _RIDGE: Final = 1e-9  # of the mean diagonal of a unit: freedoms that these readings do not see stay
 _STANDSTILL: Final = 1e-3  # of the cost: when no start gains as much, all are where they end
+_CAUCHY: Final = 3.5  # medians of the distances, beyond which they weigh less
+_SMALLEST_SCALE_M: Final = 1e-9
 _SMALLEST_RADIUS_M: Final = 1e-4
 
 
@@ -75,22 +77,29 @@ class Rolled:
         return Rolled(self.mount[places], self.holder[places], self.radius_m[places], self.square_m2[places])
 
 
-def rolled(readings: Few, start: Rolled, free: NDArray[np.bool_], steps: int) -> Rolled:
+def rolled(readings: Few, start: Rolled, free: NDArray[np.bool_], steps: int, robust: bool = False) -> Rolled:
     """Where the starts are after some steps; none is worse than it was.
 
     Parameters
     ----------
     free : (13,) freedoms that move: [t; phi] of the mount and of the object, right perturbations, and radius.
+    robust : Cauchy's loss, with the scale that half of the readings of each start have where it begins; and
+        of the squared distances the mean of the three quarters that are smallest.
     """
     mount, holder, radius = start.mount.copy(), start.holder.copy(), start.radius_m.copy()
     residual, rows = _rows(readings, mount, holder, radius)
-    cost, damping = np.mean(residual**2, axis=1), np.full(len(mount), _FIRST_DAMPING)
+    scale = np.full((len(mount), 1), np.inf)
+    if robust:
+        scale = np.maximum(_CAUCHY * np.median(np.abs(residual), axis=1, keepdims=True), _SMALLEST_SCALE_M)
+    cost, damping = _cost(residual, scale), np.full(len(mount), _FIRST_DAMPING)
     for _ in range(steps):
         step = np.zeros((len(mount), 13))
-        step[:, free] = _steps(residual, rows[:, :, free], free, damping)
+        weight = 1.0 / np.sqrt(1.0 + (residual / scale) ** 2)
+        weighted = weight[:, :, None] * rows[:, :, free]
+        step[:, free] = _steps(weight * residual, weighted, free, damping)
         trial = moved_poses(mount, step[:, :6]), moved_poses(holder, step[:, 6:12]), radius + step[:, 12]
         trial_residual, trial_rows = _rows(readings, *trial)
-        trial_cost = np.mean(trial_residual**2, axis=1)
+        trial_cost = _cost(trial_residual, scale)
         better = (trial_cost < cost) & ((trial[2] > _SMALLEST_RADIUS_M) | (trial[2] == radius))
         now = mount, holder, radius, residual, rows
         for old, new in zip(now, (*trial, trial_residual, trial_rows), strict=True):
@@ -99,7 +108,17 @@ def rolled(readings: Few, start: Rolled, free: NDArray[np.bool_], steps: int) ->
             break
         cost = np.where(better, trial_cost, cost)
         damping = np.where(better, damping * 0.1, damping * 10.0)
+    if robust:
+        most = -(-3 * residual.shape[1] // 4)
+        cost = np.mean(np.sort(residual**2, axis=1)[:, :most], axis=1)
     return Rolled(mount, holder, radius, cost)
+
+
+def _cost(residual: FloatArray, scale: FloatArray) -> FloatArray:
+    """Mean (g,) of the loss of distances (g, m), for scales (g, 1); infinite ones mean their squares."""
+    if np.isinf(scale).all():
+        return np.asarray(np.mean(residual**2, axis=1))
+    return np.asarray(np.mean(scale**2 * np.log1p((residual / scale) ** 2), axis=1))
 
 
 def _rows(

@@ -24,8 +24,8 @@ OTHER_SIZE: Final = Finding(
     "Check which sphere was measured, and its certificate",
 )
 _MOST_FOR_A_START: Final = 50  # readings: a start needs no more, and its cost grows with them
-# Starts that roll down together, how many readings they see, and steps.
-_ROUNDS: Final = ((150, 40, 4), (40, 150, 12))
+# Starts that roll down together, how many readings they see, steps, and whether outliers weigh less.
+_ROUNDS: Final = ((150, 40, 4, False), (40, 150, 12, False), (20, 150, 8, True), (20, 150, 4, True))
 _FEW: Final = 6  # of them are different and good enough to go on with
 _HOPELESS: Final = 100.0  # times the lowest cost: no outlier makes up for that
 _APART_RAD: Final = np.deg2rad(3.0)  # two that come closer than this roll into the same minimum
@@ -267,11 +267,11 @@ class SensorTask:
         if not len(flat):
             mount = np.broadcast_to(pose_of(values_of(belief), self.sensor).matrix, mount.shape)
         every, found = Few(pose, sensor_p, target), Rolled(mount, holder, radius_m, np.zeros(len(mount)))
-        for count, readings, steps in _ROUNDS:
+        for count, readings, steps, robust in _ROUNDS:
             few = every.thinned(readings)
-            found = rolled(few, found, free, 0)
+            found = rolled(few, found, free, 0, robust)
             chosen = starts.best(found.square_m2, *self._turns(found), count=count, apart_rad=_APART_RAD)
-            found = rolled(few, found.at(chosen), free, steps)
+            found = rolled(few, found.at(chosen), free, steps, robust)
         best = starts.best(found.square_m2, *self._turns(found), count=_FEW, apart_rad=_APART_RAD)
         return [
             {**self.poses(found.mount[i], found.holder[i]), "sphere.radius": found.radius_m[i : i + 1]}

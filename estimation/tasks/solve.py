@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimation.belief import Belief, Value
 from estimation.chart import Chart
 from estimation.errors import ContradictingData, DegenerateGeometry, EstimationError
-from estimation.fitting import reweighted
+from estimation.fitting import cauchy_cost, reweighted, robust_start
 from estimation.model import Model, values_of
 from estimation.observability import RankReport
 from estimation.solver import Update, update
@@ -207,8 +207,7 @@ def _misfits(result: Result) -> bool:
 def _estimated(problem: Problem, sight: tuple[Finding, ...], starts: Sequence[Mapping[str, Value]]) -> Result:
     try:
         belief, model = problem.belief(), problem.model()
-        every = np.ones(len(model), dtype=np.bool_)
-        minima, reason = descents(problem, model, starts, every)
+        minima, reason = ranked(problem, model, starts)
     except EstimationError as error:
         return refused(problem.task, sight, error)
     if not minima:
@@ -224,7 +223,7 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...], starts: Sequence[Ma
     findings = list(sight)
     if found.rejected.any():
         findings += problem.diagnose(values_of(found.belief), found.rejected)
-        # What was left out must not decide between solutions either.
+    if len(minima) > 1:  # what was left out must not decide between solutions
         again = [minimum.values for minimum in minima]
         minima = descents(problem, model, again, ~found.rejected)[0] or minima
     ambiguity = None
@@ -278,6 +277,26 @@ def refused(task: str, findings: Sequence[Finding], error: EstimationError | Non
         case _:
             cause = Cause.NO_SOLUTION
     return Result(task, Status.REFUSED, (*findings, Finding(cause, error.problem, error.remedy)))
+
+
+def ranked(
+    problem: Problem, model: Model, starts: Sequence[Mapping[str, Value]]
+) -> tuple[list[Minimum], EstimationError]:
+    """Where the starts roll to, outliers weighing less, lowest cost first; why the last that failed did."""
+    found: list[Minimum] = []
+    reason = EstimationError("No start was found", "Measure from more and other directions")
+    belief = problem.rough()
+    for values in starts:
+        chart = Chart(belief.started(values), model)
+        try:
+            z = robust_start(chart, np.zeros(belief.size), "cauchy")
+            cost = cauchy_cost(chart, z)
+        except EstimationError as error:
+            reason = error
+            continue
+        reached = chart.at(z)[0]
+        found.append(Minimum(cost, problem.settled({name: reached[name] for name in values})))
+    return sorted(found, key=lambda minimum: minimum.cost), reason
 
 
 def descents(
