@@ -6,6 +6,7 @@ The drives are simulated in a process of their own, behind a pseudo-terminal. A 
 complete reading of all joints (the SYNC that it answers) to the next one.
 """
 
+import gc
 import os
 import sys
 import tempfile
@@ -58,6 +59,8 @@ def regularity(duration_s: float) -> Regularity:
     ):
         clock = RealClock()
         arm = make_robot(robot, RealPorts(Path(folder), clock), clock)
+        gc.collect()
+        gc.freeze()  # as `truecell serve` does
         arm.connect()
         try:
             times_s = list[float]()

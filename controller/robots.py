@@ -103,6 +103,7 @@ def _canopen(
         master_timeout_s=MASTER_TIMEOUT_S * patience,
         sdo_timeout_s=SDO_TIMEOUT_S * patience,
         model=robot.model,
+        touch_probe=robot.touch_probe,
     )
     link = ports.can_bus("robot", robot.interface, robot.port, robot.bitrate)
     return CanopenArm(link, config, clock, keep_alive_thread=keep_alive_thread)

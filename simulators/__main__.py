@@ -1,6 +1,7 @@
 """`python -m simulators`: the devices of a cell, or one device alone, in real time on real ports."""
 
 import argparse
+import gc
 import signal
 import sys
 from pathlib import Path
@@ -93,7 +94,9 @@ def _serve_cell(options: argparse.Namespace) -> None:
         laser=devices["laser"].driver,
         probe=devices["probe"].driver,
     )
-    CellServer(model, devices, run_dir).run()
+    server = CellServer(model, devices, run_dir)
+    _keep_modules()
+    server.run()
 
 
 def _serve_device(options: argparse.Namespace) -> None:
@@ -112,10 +115,17 @@ def _serve_device(options: argparse.Namespace) -> None:
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.loop.quit())
+    _keep_modules()
     for socket, where in server.station.where.items():
         print(f"{kind.name} {socket} at {where}".replace("  ", " "))
     print("ready", flush=True)
     server.run()
+
+
+def _keep_modules() -> None:
+    """From now on, collections of garbage leave out what is there already: they would last 30 ms and more."""
+    gc.collect()
+    gc.freeze()
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from estimation.errors import CellFileError
 from simulators.device_kind import DeviceKind, Setting, Simulated
 from simulators.probes.kinds import PROBES, Stylus, stylus_of
 from simulators.registry import choose
+from simulators.robots.canopen_arm import SimulatedArm
 from simulators.robots.kinds import ROBOTS, Mechanics
 from simulators.robots.mechanism import MechanicalArm
 from simulators.sensors.kinds import LASERS, Optics
@@ -58,6 +59,8 @@ class CellModel:
         optics = Optics(file.laser, self.world, truth.laser_scale, truth.laser_offset_m, rng, noise_factor)
         laser_kind = choose(laser, "laser", LASERS)
         self.contact = StylusContact(self.world, self.arm)
+        if file.arm.touch_probe and isinstance(self.arm, SimulatedArm):
+            self.arm.wire_touch_inputs(self.contact.first_closing)
         stylus = stylus_of(self.contact, stream(seed, "noise.probe.reading"))
         probe_kind = choose(probe, "probe", PROBES)
         self.devices: dict[str, Simulated] = {

@@ -21,6 +21,8 @@ class CanopenRobot(CanBus, Arm):
     """Time between two SYNC messages; one joint reading each."""
     cruise_sync_period_s: Duration = Field(0.05, ge=0.001, le=0.06)
     """The same far from the end of a free move, where less must be seen; at least `sync_period`."""
+    touch_probe: bool = False
+    """The probe is wired to an input of each drive (60B8h), which holds its position at contact."""
 
 
 class MelfaRobot(Arm):

@@ -1,5 +1,6 @@
 """Commands that need no daemon: they start one, or look at a cell file, or simulate."""
 
+import gc
 import logging
 import os
 import sys
@@ -36,6 +37,8 @@ def serve(
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     folder, address = options.state_folder(cell, state_dir), socket or default_socket()
     engine, store = build_engine(cell, folder)
+    gc.collect()
+    gc.freeze()  # collections of garbage leave out what is there already: they would last longer than a SYNC
 
     def ready() -> None:
         state = engine.status()["state"]

@@ -26,6 +26,7 @@ from drivers.links.interfaces import CanLink
 from drivers.robots import canopen_arm_codec as codec
 from drivers.robots.canopen_arm_setup import ArmConfig, ArmSetup
 from drivers.robots.canopen_arm_units import JointUnits
+from drivers.robots.canopen_latch import ContactLatch
 from drivers.robots.canopen_master import CanopenMaster, Sample
 from drivers.robots.canopen_path import PathFollower
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
@@ -77,6 +78,7 @@ class CanopenArm:
             self._command,
             self._motion_sample,
         )
+        self._latch = ContactLatch(self._master, config) if config.touch_probe else None
         self._command_lock = threading.Lock()  # orders a stop against the frames of a starting move
         self._stop_requested = False
         self._connected, self._opened = False, 0
@@ -184,12 +186,16 @@ class CanopenArm:
     ) -> Contact | None:
         """Move towards the target until the probe trips; the joints at the contact.
 
-        The joints are interpolated between the SYNC samples around the time of contact. None if the target
-        was reached without contact. At rest on return. Raises as `move_joints`, and what the probe raises.
+        The joints are interpolated between the SYNC samples around the time of contact; where the drives have
+        touch-probe inputs, they are what these held. None if the target was reached without contact. At rest
+        on return. Raises as `move_joints`, and what the probe raises.
         """
         target = self._units.counts(target_rad)
         limits = np.minimum(np.array(self._config.speed_limit_rad_s), speed_rad_s)
         with self._at_rest_on_error():
+            if self._latch is not None:
+                self._require_connection()
+                self._latch.arm()
             _, deadline_s = self._start(target, limits)
             seen = self._master.samples[-1]
             with self._master.foreground():  # nobody else on the bus: no thread keeps a reply waiting
@@ -214,7 +220,13 @@ class CanopenArm:
                 pass
             contact = self._units.contact_at(touched_s, list(self._master.samples), probe.poll_uncertainty_s)
             self._halt_and_wait()
-            return contact
+            if self._latch is None:
+                return contact
+            within = limits * self._config.counts_per_rad * contact.late_s + self._units.apart
+            seen_counts = contact.joints_rad * self._config.counts_per_rad
+            held = self._latch.counts(seen_counts.tolist(), within.tolist())
+            joints_rad = np.array(held, dtype=np.float64) / self._config.counts_per_rad
+            return Contact(joints_rad, 1.0, self._config.latch_delay_s)
 
     def read_joints(self, count: int) -> JointReadings:
         """`count` consecutive samples, of SYNCs sent after the call; stamped with the time of the SYNC."""

@@ -48,6 +48,8 @@ class ArmConfig:
         0.02  # after its SYNC; a missed answer is waited for so long before the next SYNC
     )
     sync_timeout_factor: int | None = None  # 200Eh; None leaves what the drive has
+    touch_probe: bool = False  # the probe is wired to the touch-probe input of every drive as well
+    latch_delay_s: float = 1e-4  # of these inputs, at most
 
 
 class ArmSetup:

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -180,6 +181,11 @@ class SimulatedArm(MechanicalArm):
             drive.network(NMT_RESET_NODE, time_s)
         self._settings_changed()
         self._schedule()
+
+    def wire_touch_inputs(self, first_closing: Callable[[float, float], float | None]) -> None:
+        """Wire a contact to a touch-probe input of every drive, which those of the PRBT do not have."""
+        for drive in self.drives:
+            drive.wire_touch_input(first_closing)
 
     def fault(self, joint: int, code: int, time_s: float) -> None:
         """Let one drive fail; the others do not notice."""

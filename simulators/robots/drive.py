@@ -10,10 +10,12 @@ from typing import Final
 
 from simulators.canopen_objects import BAD_VALUE, Key, SdoAbort, SdoServer, Value, entry_of
 from simulators.canopen_pdo import SYNCHRONOUS, TimedPdo, active_pdos, check_pdo_write, default_can_ids
+from simulators.robots import touch_input
 from simulators.robots.drive_objects import ENTRIES
 from simulators.robots.drive_states import TRANSITIONS, Command, DriveState, command_of
 from simulators.robots.motion_profile import AxisMotion
 from simulators.robots.positioner import INTERPOLATED, PROFILE_POSITION, Positioner
+from simulators.robots.touch_input import TouchInput
 
 MODES: Final = (1, 2, 7)
 HEARTBEAT_LOST: Final = 0x8130  # life guard or heartbeat error; also for a silent SYNC
@@ -66,9 +68,15 @@ class Drive:
         self._noise, self._emit, self._step = noise, emit, settings.step_counts
         self._now_s = 0.0
         self._sdo = SdoServer(ENTRIES, self._read, self._write)
+        self._touch: TouchInput | None = None
         self._power_on()
         self.nmt = Nmt.PRE_OPERATIONAL
         self._boot_s = NEVER
+
+    def wire_touch_input(self, first_closing: Callable[[float, float], float | None]) -> None:
+        """Give the drive a touch-probe input; `first_closing(since_s, until_s)` is when it closes."""
+        self._touch = TouchInput(first_closing, self._measured_at)
+        self._sdo = SdoServer({**ENTRIES, **touch_input.ENTRIES}, self._read, self._write)
 
     # -- life ------------------------------------------------------------------------------------
 
@@ -81,6 +89,8 @@ class Drive:
         self.values[0x1018, 4] = s.serial_number
         self.values[0x607D, 1], self.values[0x607D, 2] = s.limits_counts
         self.values[0x6083, 0] = round(s.acceleration)
+        if self._touch is not None:
+            self._touch.reset()
         self.state = DriveState.SWITCH_ON_DISABLED
         self.nmt = Nmt.INITIALISING
         self._controlword = 0
@@ -290,16 +300,23 @@ class Drive:
         return lambda: self.values[key]  # type: ignore[return-value]  # texts are not mappable
 
     def _measured(self) -> int:
+        return self._measured_at(self._now_s)
+
+    def _measured_at(self, time_s: float) -> int:
         step = self._step
-        return int(round((self.motion.position(self._now_s) + self._noise()) / step) * step)
+        return int(round((self.motion.position(time_s) + self._noise()) / step) * step)
 
     def _read(self, key: Key) -> Value:
+        if self._touch is not None and key in touch_input.ENTRIES:
+            return self._touch.read(key, self._now_s)
         entry_of(ENTRIES, key)
         return self.values[key] if isinstance(self.values[key], str) else self._reader(key)()
 
     def _write(self, key: Key, value: Value) -> None:
         index, _ = key
-        if key == (0x6060, 0):
+        if self._touch is not None and key == touch_input.FUNCTION:
+            self._touch.write(int(value), self._now_s)
+        elif key == (0x6060, 0):
             if value not in MODES:
                 raise SdoAbort(BAD_VALUE)
             self._mode = int(value)

@@ -96,6 +96,11 @@ class StylusContact:
                 return
             self._look(min(max(self._safe_s, self._time_s + SHORTEST_STEP_S), time_s))
 
+    def first_closing(self, since_s: float, until_s: float) -> float | None:
+        """When the contact closed first in this time."""
+        self.update(until_s)
+        return next((t.time_s for t in self.touches if since_s <= t.time_s <= until_s), None)
+
     def unchanged_until_s(self, time_s: float) -> float:
         """`closed` does not change before this, as long as the arm does what it plans at `time_s`."""
         self.update(time_s)

@@ -57,6 +57,7 @@ class ArmSpec:
     encoder_step_rad: float
     start_joints_rad: FloatArray
     links: tuple[LinkSpec, ...]
+    touch_probe: bool = False  # the stylus is wired to an input of every drive as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,6 +201,7 @@ def _arm(table: StrictTable) -> ArmSpec:
         encoder_step_rad=table.number("encoder_step", "angle"),
         start_joints_rad=table.vector("start_joints", "angle", len(nodes)),
         links=tuple(_link(item) for item in table.tables("links")),
+        touch_probe=table.has("touch_probe") and bool(table.take("touch_probe")),
     )
     if len(spec.links) != len(nodes):
         raise CellFileError(f"{len(nodes)} arm nodes, {len(spec.links)} links", "Give one link per node")
