@@ -1,6 +1,7 @@
 """A robot driver against its simulator in virtual time: what the tests of all such robots start from."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,23 @@ class RobotRig:
         link = self.world.ports.links[name]
         assert isinstance(link, VirtualByteLink)
         return link
+
+    def change(self, **settings: Any) -> None:
+        """Other settings of the simulated controller."""
+        arm: Any = self.arm
+        arm.settings = replace(arm.settings, **settings)
+
+    def sent(self) -> list[bytes]:
+        """What is sent from now on."""
+        sent, link = list[bytes](), self.link()
+        write = link.write
+
+        def logged(data: bytes) -> None:
+            sent.append(data)
+            write(data)
+
+        link.write = logged  # type: ignore[method-assign]
+        return sent
 
     def truth_rad(self) -> Any:
         return self.arm.joints_at(self.clock.now_s())

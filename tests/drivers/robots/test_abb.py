@@ -1,23 +1,15 @@
 """The ABB driver against the simulated open_abb server: what only this robot does, and its traps."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.capabilities import StopWay
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
-from simulators.robots.abb import AbbRobot
 from tests.drivers.robots.rig import ABB, RobotRig, TimedProbe
 
 DEG = np.pi / 180
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("faces")
 
 
 @pytest.fixture
@@ -26,21 +18,6 @@ def rig(cache: Path) -> RobotRig:
     identity = rig.robot.connect()
     assert (identity.model, identity.serial_number) == ("IRB 1400", "14-21858")
     return rig
-
-
-def change(rig: RobotRig, **settings: Any) -> AbbRobot:
-    arm = rig.arm
-    assert isinstance(arm, AbbRobot)
-    arm.settings = replace(arm.settings, **settings)
-    return arm
-
-
-def sent_by(rig: RobotRig) -> list[bytes]:
-    """What is sent from now on."""
-    sent = list[bytes]()
-    write = rig.link().write
-    rig.link().write = lambda data: (sent.append(data), write(data))[1]  # type: ignore[func-returns-value, method-assign]
-    return sent
 
 
 def test_what_it_can_do_is_declared(rig: RobotRig) -> None:
@@ -52,7 +29,7 @@ def test_what_it_can_do_is_declared(rig: RobotRig) -> None:
 
 
 def test_a_long_move_goes_in_steps_that_a_stop_can_end(rig: RobotRig) -> None:
-    start, sent = rig.truth_rad(), sent_by(rig)
+    start, sent = rig.truth_rad(), rig.sent()
     rig.robot.move_joints(start + np.array([35, 0, 0, 0, 0, 0]) * DEG)
     first = [float(data.split()[1]) for data in sent if data.startswith(b"02")]
     begin = np.degrees(start[0])
@@ -69,7 +46,7 @@ def test_a_guarded_move_never_goes_farther_than_a_step_beyond_the_contact(rig: R
 
 
 def test_the_speed_of_the_flange_is_told(rig: RobotRig) -> None:
-    sent = sent_by(rig)
+    sent = rig.sent()
     rig.robot.move_joints(rig.truth_rad() + 1 * DEG, speed_fraction=0.5)
     (speed,) = [data for data in sent if data.startswith(b"08")]
     assert speed == b"08 471.2389 30.0000 #"  # 30 deg/s on 900 mm
@@ -104,7 +81,7 @@ def test_another_number_of_decimals_is_named(cache: Path) -> None:
     rig.robot.connect()
     with pytest.raises(DeviceTimeout, match="request 04"):
         rig.robot.read_joints(1)
-    change(rig, decimals=4)
+    rig.change(decimals=4)
     assert rig.robot.read_joints(1).joints_rad[0] == pytest.approx(rig.truth_rad(), abs=0.01 * DEG)
 
 
@@ -130,14 +107,14 @@ def test_a_move_goes_on_after_its_client_is_lost(rig: RobotRig) -> None:
 )
 def test_another_robot_is_refused(cache: Path, changed: dict[str, str], words: str) -> None:
     rig = RobotRig(cache, ABB | {"serial_number": "14-21858"})
-    change(rig, **changed)
+    rig.change(**changed)
     with pytest.raises(IdentityMismatch, match=words):
         rig.robot.connect()
 
 
 def test_another_robot_after_a_timeout_is_refused(rig: RobotRig) -> None:
     rig.link().faults.add("drop", from_s=rig.clock.now_s(), once=True)
-    change(rig, serial_number="14-99999")
+    rig.change(serial_number="14-99999")
     with pytest.raises(IdentityMismatch, match="14-99999"):
         rig.robot.read_joints(1)
 

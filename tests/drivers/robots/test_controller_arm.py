@@ -15,11 +15,6 @@ DEG = np.pi / 180
 ROBOTS: list[dict[str, Any]] = [MELFA_TCP, MELFA_SERIAL, IGUS, UR, ABB]
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("faces")
-
-
 @pytest.fixture(params=ROBOTS, ids=lambda settings: settings["driver"])
 def rig(request: pytest.FixtureRequest, cache: Path) -> RobotRig:
     rig = RobotRig(cache, request.param)

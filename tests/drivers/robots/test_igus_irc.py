@@ -16,11 +16,6 @@ from tests.drivers.robots.rig import IGUS, RobotRig
 DEG = np.pi / 180
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("faces")
-
-
 @pytest.fixture
 def rig(cache: Path) -> RobotRig:
     rig = RobotRig(cache, IGUS)

@@ -13,11 +13,6 @@ from tests.drivers.robots.rig import MELFA_SERIAL, MELFA_TCP, RobotRig
 DEG = np.pi / 180
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("faces")
-
-
 @pytest.fixture(params=[MELFA_TCP, MELFA_SERIAL], ids=["tcp", "serial"])
 def rig(request: pytest.FixtureRequest, cache: Path) -> RobotRig:
     rig = RobotRig(cache, request.param)

@@ -5,9 +5,7 @@ import struct
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,24 +18,12 @@ from tests.drivers.robots.rig import UR, RobotRig, TimedProbe
 DEG = np.pi / 180
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("faces")
-
-
 @pytest.fixture
 def rig(cache: Path) -> RobotRig:
     rig = RobotRig(cache, UR)
     identity = rig.robot.connect()
     assert (identity.model, identity.serial_number) == ("UR5", "20235500123")
     return rig
-
-
-def change(rig: RobotRig, **settings: Any) -> UrRobot:
-    arm = rig.arm
-    assert isinstance(arm, UrRobot)
-    arm.settings = replace(arm.settings, **settings)
-    return arm
 
 
 def test_a_contact_is_interpolated_not_read_after_the_stop(rig: RobotRig) -> None:
@@ -78,7 +64,7 @@ def test_readings_are_sampled_after_the_question(rig: RobotRig) -> None:
 
 def test_a_controller_in_local_mode_is_named(cache: Path) -> None:
     rig = RobotRig(cache, UR)
-    change(rig, remote=False)
+    rig.change(remote=False)
     with pytest.raises(DeviceTimeout, match=r"did not begin a program within 1 s.*remote control"):
         rig.robot.connect()
 
@@ -122,7 +108,7 @@ def test_an_emergency_stop_at_connection_is_named(cache: Path) -> None:
 )
 def test_another_robot_is_refused(cache: Path, changed: dict[str, str], words: str) -> None:
     rig = RobotRig(cache, UR)
-    change(rig, **changed)
+    rig.change(**changed)
     with pytest.raises(IdentityMismatch, match=words):
         rig.robot.connect()
 
