@@ -1,4 +1,4 @@
-"""Byte examples of the manuals as a driver receives them, beside those in the tests of each codec."""
+"""Byte examples and traps of the manuals as a driver meets them, beside those in the tests of each codec."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from drivers.links.interfaces import CanFrame
 from drivers.links.modbus import ModbusClient
 from drivers.links.modbus_rtu import ModbusRtu
 from drivers.links.modbus_tcp import ModbusTcp
-from drivers.sensors import gocator
+from drivers.probes.adam6052 import AdamProbe, ProbeConfig
+from drivers.sensors import gocator, optoncdt_codec
 from drivers.sensors.ams335i import Ams335i, AmsConfig
 from drivers.sensors.riftek_codec import distances
 from tests.drivers.fakes import FakeByteLink, VirtualClock
@@ -99,3 +100,53 @@ def test_ams_position_and_status(data: str, distance_m: float | None, why: str) 
     assert answer.why == why
     if distance_m is not None:
         assert answer.distance_m == pytest.approx(distance_m)
+
+
+# --- traps in the documents ---------------------------------------------------------------------------
+
+
+def test_the_range_of_an_optoncdt_ends_where_manual_and_formula_say() -> None:
+    """64877; one public parser has 64887."""
+    codes = np.array([64877, 64878, 64887])
+    assert optoncdt_codec.in_range(codes).tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize(("measurement", "value"), [(0, 1000), (4, 1012)])
+def test_the_decision_of_a_gocator_stands_two_behind_its_value(measurement: int, value: int) -> None:
+    """Of measurement 4 that is 1014: the manual's text says 1015, its map 1014."""
+    asked = list[tuple[int, int]]()
+
+    class Registers(FakeModbus):
+        def read_holding_registers(self, address: int, count: int) -> list[int]:
+            asked.append((address, count))
+            return [0] * count
+
+    head = gocator.Gocator(
+        FakeByteLink(VirtualClock()), gocator.GocatorConfig(0.3, 200.0, measurement), VirtualClock()
+    )
+    head._modbus = Registers()  # type: ignore[assignment]
+    head._newest()
+    first, count = asked[-1]
+    assert first + count - 1 == value + 2
+
+
+class FakeModbus:
+    received_s = 0.0
+
+
+def test_an_adam_whose_addresses_begin_at_one() -> None:
+    """Manual and public clients disagree by one: the offset is a setting, and holds for all registers."""
+    asked = list[bytes]()
+    link = FakeByteLink(VirtualClock())
+
+    def reply(sent: bytes) -> None:
+        asked.append(sent[7:12])
+        size = 1 if sent[7] == 2 else 4
+        name = b"\x60\x52\0\0" if sent[7] == 3 else b"\0" * size
+        link.later(0.001, sent[:4] + bytes((0, 3 + size)) + sent[6:8] + bytes((size,)) + name)
+
+    link.on_write = reply
+    AdamProbe(link, ProbeConfig(channel=2, address_offset=1), link.clock).connect()
+    assert asked == [
+        bytes.fromhex(words) for words in ("03 00D3 0002", "02 0003 0001", "04 0005 0002")
+    ]  # name at 210, input 2, counter at 4
