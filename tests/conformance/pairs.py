@@ -33,6 +33,7 @@ from estimation.transform import FloatArray
 from simulators.device_kind import Simulated
 from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, OF_CANOPEN, UR, frozen
 
+STREAMED = 40  # values of a stream in a piece of work, at most
 Work = Callable[[Any, Simulated, Clock, np.random.Generator], None]
 
 
@@ -47,6 +48,7 @@ class Pair:
     )  # faults that nothing in the protocol reveals; why
     unseen_together: tuple[tuple[str, ...], ...] = ()  # groups; one of each in the same packet
     delay_s: float = 5.0  # longest time in which work ends, whatever the wire does
+    skips_s: float = 0.0  # so long a stream is dropped at the start of work
     latest_s: float = 0.2  # after which the device answers late, as the driver is told
     budget_s: float = 0.25  # from a fault until it is noticed: STANDARDS B3, or as the driver declares
 
@@ -64,16 +66,18 @@ def fresh(values: FloatArray, device: Simulated, since_s: float, clock: Clock, t
         )
 
 
-def measure_range(tolerance_m: float, laser: RangeSensor, device: Simulated, clock: Clock, rng: Any) -> None:
+def measure_range(
+    tolerance_m: float, laser: RangeSensor, device: Simulated, clock: Clock, rng: Any, *, most: int = 8
+) -> None:
     since_s = clock.now_s()
     laser.begin_window()
-    fresh(laser.end_window(int(rng.integers(1, 8))).distance_m, device, since_s, clock, tolerance_m)
+    fresh(laser.end_window(int(rng.integers(1, most))).distance_m, device, since_s, clock, tolerance_m)
 
 
 def measure_force(sensor: ForceSensor, device: Simulated, clock: Clock, rng: Any) -> None:
     since_s = clock.now_s()
     sensor.begin_window()
-    fresh(sensor.end_window(int(rng.integers(1, 8))).force_n[:, 0], device, since_s, clock, 0.05)
+    fresh(sensor.end_window(int(rng.integers(1, STREAMED))).force_n[:, 0], device, since_s, clock, 0.05)
 
 
 def wait_for_touch(period_s: float, probe: TouchProbe, device: Simulated, clock: Clock, rng: Any) -> None:
@@ -174,8 +178,9 @@ PAIRS = [
     Pair(
         "optoncdt-1420",
         partial(on, OptoncdtLaser, OPTO),
-        partial(measure_range, 6e-5),
+        partial(measure_range, 6e-5, most=STREAMED),
         unseen=NO_CHECK,
+        skips_s=STALE_S,
         latest_s=STALE_S,
         budget_s=0.25 + SLACK_S,
     ),
@@ -183,9 +188,10 @@ PAIRS = [
         Pair(
             f"riftek-{name}",
             partial(on, make, RIFTEK),
-            partial(measure_range, 1e-5),
+            partial(measure_range, 1e-5, most=STREAMED if name == "binary" else 8),
             unseen=unseen,
             unseen_together=LOST_AND_DOUBLED if name == "binary" else (),
+            skips_s=STALE_S if name == "binary" else 0.0,
             latest_s=STALE_S if name == "binary" else 0.1,
             budget_s=0.25 + SLACK_S,
         )
@@ -204,7 +210,7 @@ PAIRS = [
         )
         for name, config, tolerance_m in (("keyence-il", KEYENCE, 3e-5), ("keyence-gt2", GAUGE, 1e-5))
     ),
-    Pair("robotiq-ft300", partial(on, Ft300, ROBOTIQ), measure_force, latest_s=STALE_S),
+    Pair("robotiq-ft300", partial(on, Ft300, ROBOTIQ), measure_force, skips_s=STALE_S, latest_s=STALE_S),
     Pair("gocator", partial(on, Gocator, LMI), partial(measure_range, 3e-5), boot_s=12.0, unseen=FRAMED),
     Pair(
         "adam-6052", partial(on, AdamProbe, ProbeConfig()), partial(wait_for_touch, PERIOD_S), unseen=FRAMED

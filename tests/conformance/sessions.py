@@ -65,8 +65,9 @@ def single(pair: Pair, seed: int) -> Discovery:
     rig.work()
     link = rig.links[int(rng.integers(len(rig.links)))]
     value = float(rng.uniform(0.0, pair.latest_s)) if fault == "late" else None
-    link.faults.add(fault, value, chance=1.0 / float(rng.integers(1, LATEST_MESSAGE + 1)), once=True)
     begun_s = rig.clock.now_s()
+    chance = 1.0 / float(rng.integers(1, LATEST_MESSAGE + 1))
+    link.faults.add(fault, value, from_s=begun_s + pair.skips_s, chance=chance, once=True)
     rig.watch()
     worked = rig.timed_work()
     ended_s = rig.clock.now_s()
