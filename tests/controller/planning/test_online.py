@@ -123,9 +123,20 @@ def test_what_a_missed_point_should_have_told_is_made_good_elsewhere(
     steps, _, finding = walk(LocalizePhase(), context, lambda step, place: place in (first, first + 1))
     assert finding.verdict.passed and U_of(finding) <= context.spec.limit_m
     assert len(walked[0]) < len(steps) <= len(walked[0]) + 6
-    for missed in steps[first : first + 2]:
-        for later in steps[first + 2 :]:
-            assert np.linalg.norm(np.subtract(later.object_p_m, missed.object_p_m)) > 0.006
+
+
+def test_nothing_is_tried_where_a_point_was_missed(
+    context: PhaseContext[LocalizeSpec], walked: tuple[list[Step], list[Sample], Finding]
+) -> None:
+    steps, samples, _ = walked
+    belief = LocalizePhase().known(context, samples[:10])
+    prospect = Prospect.of_part(context.cell, belief, context.arm, context.spec, SEED + 10)
+    best = prospect.next_step([], steps[:10], [])
+    assert best is not None
+    beside = tuple(np.add(best.object_p_m, [0.002, 0.002, 0.002]).tolist())
+    other = prospect.next_step([], steps[:10], [replace(best, object_p_m=beside)])
+    assert other is not None
+    assert np.linalg.norm(np.subtract(other.object_p_m, beside)) > 0.006
 
 
 def test_points_that_all_miss_end_the_phase_before_its_budget_does(

@@ -105,11 +105,11 @@ def test_the_same_input_gives_the_same_choice() -> None:
 def test_numpy_and_the_compiled_passes_choose_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     if not compiled.COMPILED:
         pytest.skip("numba is not installed")
-    for name in ("D", "worst"):
-        problem = box_problem(3, judged=name != "D")
-        with_compiler = choose(problem, 20, CRITERIA[name])
+    for name, candidates, count in (("D", 400, 20), ("D", 5000, 100), ("worst", 400, 20)):
+        problem = box_problem(3, candidates, shared=2, judged=name != "D")
+        with_compiler = choose(problem, count, CRITERIA[name])
         monkeypatch.setattr(compiled, "COMPILED", False)
-        without = choose(problem, 20, CRITERIA[name])
+        without = choose(problem, count, CRITERIA[name])
         monkeypatch.undo()
         assert with_compiler.chosen.tolist() == without.chosen.tolist()
 
