@@ -47,11 +47,13 @@ def settle(
     size: int,
     seen: NDArray[np.int64],
     gain: FloatArray,
+    bounds: FloatArray,
 ) -> None:
-    """Brings the gains (m,) of all blocks of `size` candidates up to date with the first `end` updates."""
+    """Brings gains (m,) and bounds (b,) of all blocks of `size` up to date with the first `end` updates."""
     for block in range(seen.shape[0]):
         first, last = block * size, min((block + 1) * size, gain.shape[0])
         settle_block(columns, directions, factors, seen[block], end, first, last, gain)
+        bounds[block] = gain[first:last].max()
 
 
 @numba.njit(cache=True, fastmath=_FAST)

@@ -41,7 +41,9 @@ class Gains:
         """From a covariance, free of the rounding of many updates; None is the prior's, the identity."""
         root = self._rows if white is None else self._rows @ np.linalg.cholesky(white)
         self._gain = np.einsum("mr,mr->m", root, root)
-        self._settled()
+        self._seen[:] = 0
+        self._pending = 0
+        self._bounds[:] = np.inf
 
     def update(self, direction: FloatArray, factor: float) -> None:
         """C -= factor direction direction^T, where direction (r,) = C b of the candidate added or removed."""
@@ -64,11 +66,13 @@ class Gains:
                     _BLOCK,
                     self._seen,
                     self._gain,
+                    self._bounds,
                 )
             else:
                 along = self._rows @ self._directions[: self._pending].T
                 self._gain -= (along * along) @ self._factors[: self._pending]
-            self._settled()
+            self._seen[:] = 0
+            self._pending = 0
         return self._gain
 
     def of(self, candidate: int) -> float:
@@ -92,8 +96,3 @@ class Gains:
                 )
             )
         return int(np.argmax(np.where(open_, self.exact(), -np.inf)))
-
-    def _settled(self) -> None:
-        self._seen[:] = 0
-        self._pending = 0
-        self._bounds[:] = np.inf
