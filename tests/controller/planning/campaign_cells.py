@@ -36,6 +36,7 @@ class Outcome:
     pattern: int
     planned: int
     noise_share: float
+    quieter: float  # mean noise variance of the planned points over that of the pattern: what their tilt does
     efficiency: dict[str, float]  # of at least 24 points, by criterion: bound over value, as variances
     achieved: float  # standard deviation of the true error over the predicted one
     refused: int  # replicas without an estimate
@@ -157,6 +158,7 @@ def _campaign_cell(folder: Path, seed: int, count: int) -> Outcome | None:
         len(grids[-1]),
         len(selection),
         share,
+        float(problem.variance[selection.chosen].mean() / problem.variance[grids[-1]].mean()),
         efficiencies(problem, max(24, len(selection))),
         ratio,
         refused,

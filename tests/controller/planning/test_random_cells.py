@@ -39,6 +39,9 @@ def report(found: Iterable[Outcome]) -> None:
         f"planned / pattern: median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}; "
         f"pattern {min(o.pattern for o in found)} to {max(o.pattern for o in found)} points"
     )
+    print(
+        f"noise variance of their points: median {np.median([o.quieter for o in found]):.2f} of the pattern's"
+    )
     for name in CRITERIA:
         values = np.array([outcome.efficiency[name] for outcome in found])
         print(f"{name}: bound / reached, median {np.median(values):.3f}, least {values.min():.3f}")
