@@ -25,6 +25,8 @@ INCIDENCE_MARGIN_RAD: Final = np.radians(3.0)  # the mount may be turned by as m
 EDGE_MARGIN_M: Final = 0.004
 DRAWS: Final = 2000  # before reach, clearance and range are looked at
 PART_DRAWS: Final = 3000
+_FEW: Final = 30  # candidates on a face
+_REDRAWS: Final = 2
 
 
 def plate_candidates(workspace: Workspace, seed: int, draws: int = DRAWS) -> Candidates:
@@ -58,29 +60,31 @@ def part_candidates(
 ) -> Candidates:
     """Beams onto plane faces of the part, `margin_m` inside their edges, at all tilts and spins.
 
+    Faces that few beams reach are tried again with more: without them a direction may stay open.
     `middle` is the share of the working range, about its middle, in which distances are drawn.
     """
     random = np.random.default_rng([seed, 2])
     features = features_of(workspace, "part")
     place = {feature.name: i for i, feature in enumerate(features)}
-    each = draws // len(faces)
-    points, normals, index = [], [], []
-    for name in faces:
-        sampler = FaceSampler.of(workspace.cell, name)
-        inside = sampler.draw(random, each, margin_m)
-        points.append(inside)
-        normals.append(np.broadcast_to(sampler.normal, inside.shape))
-        index.append(np.full(len(inside), place[name], dtype=np.intp))
-    return _aimed(
-        workspace,
-        "part",
-        features,
-        np.concatenate(index),
-        np.concatenate(points),
-        np.concatenate(normals),
-        random,
-        middle,
-    )
+    each, rare, found = draws // len(faces), tuple(faces), list[Candidates]()
+    for _ in range(1 + _REDRAWS):
+        points, normals, index = [], [], []
+        for name in rare:
+            sampler = FaceSampler.of(workspace.cell, name)
+            inside = sampler.draw(random, each, margin_m)
+            points.append(inside)
+            normals.append(np.broadcast_to(sampler.normal, inside.shape))
+            index.append(np.full(len(inside), place[name], dtype=np.intp))
+        where = np.concatenate(index), np.concatenate(points), np.concatenate(normals)
+        found.append(_aimed(workspace, "part", features, *where, random, middle))
+        counts = np.bincount(
+            np.concatenate([batch.feature_index for batch in found]), minlength=len(features)
+        )
+        rare = tuple(name for name in rare if counts[place[name]] < _FEW)
+        if not rare:
+            break
+        each *= 4
+    return Candidates.joined(found)
 
 
 def mount_offset_m(workspace: Workspace) -> float:

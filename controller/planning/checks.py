@@ -42,7 +42,7 @@ def plan_bar_check(
         options = _options(workspace, spec.points_per_sphere)
         chosen = _five(workspace, options)
         batches = [options.candidates.take(options.rows[option]) for option in chosen]
-        measured = laser_steps(workspace, _joined(batches), "bar")
+        measured = laser_steps(workspace, Candidates.joined(batches), "bar")
     again = [step for step in steps if step.object == "plate" and step.kind == "laser"]
     repeated: tuple[Step, ...] = ()
     if again and spec.plate_poses:
@@ -173,19 +173,6 @@ def _all_in_range(workspace: Workspace, drawn: Candidates, found: BoolArray) -> 
     rows = np.flatnonzero(found)
     inside[rows] = in_range(workspace, drawn.take(rows))[1]
     return inside
-
-
-def _joined(batches: Sequence[Candidates]) -> Candidates:
-    first = batches[0]
-    return Candidates(
-        first.sensor,
-        first.object,
-        first.features,
-        np.concatenate([batch.joints_rad for batch in batches]),
-        np.concatenate([batch.reading_m for batch in batches]),
-        np.concatenate([batch.feature_index for batch in batches]),
-        np.concatenate([batch.object_p_m for batch in batches]),
-    )
 
 
 def _repeated(workspace: Workspace, steps: Sequence[Step], count: int) -> tuple[Step, ...]:

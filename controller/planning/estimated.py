@@ -33,7 +33,8 @@ COARSE_COUNT: Final = 10
 COARSE_NOTE: Final = "coarse"
 CHECK_SEED: Final = 7919  # draws of its own
 _COARSE_MIDDLE: Final = 0.3  # of the working range: the part may be nearer or farther by much
-_ROUNDS: Final = 8  # in which choices that turn out to be blocked are replaced
+_ROUNDS: Final = 8  # in which check points that turn out to be blocked are replaced
+_TRIALS: Final = 5  # choices, in which those that turn out to be hindered are left out
 _CORNERS: Final = tuple(f"corner {x}{y}{z}" for x in "-+" for y in "-+" for z in "-+")
 
 Blocked = Callable[[Candidates], BoolArray]
@@ -152,7 +153,7 @@ def choose(
     face_limit: int = 0,
 ) -> tuple[Candidates, tuple[float, ...]]:
     """The best candidates that can be approached and are not blocked, and `Plan.curve_U_m`."""
-    for _ in range(_ROUNDS):
+    for trial in range(_TRIALS):
         if len(pool) < count:
             break
         rows = rows_of(workspace, pool)
@@ -161,13 +162,20 @@ def choose(
         )
         selection = design.choose(problem, count, group=pool.feature_index, group_limit=face_limit)
         chosen = pool.take(selection.chosen)
-        bad = ~accessible(workspace, chosen)
-        if blocked is not None:
-            bad |= blocked(chosen)
+        bad = _hindered(workspace, chosen, blocked)
         if not bad.any():
             return chosen, tuple((coverage_factor(3) * np.sqrt(selection.curve)).tolist())
-        pool = pool.take(np.setdiff1d(np.arange(len(pool)), selection.chosen[bad]))
+        if trial < _TRIALS - 2:
+            pool = pool.take(np.setdiff1d(np.arange(len(pool)), selection.chosen[bad]))
+        else:  # the best ones are hindered again and again: look at all of them
+            pool = pool.take(~_hindered(workspace, pool, blocked))
     raise _unreachable(f"{count} measurements of the {pool.object}")
+
+
+def _hindered(workspace: Workspace, candidates: Candidates, blocked: Blocked | None) -> BoolArray:
+    """Which candidates (m,) cannot be approached, or are blocked."""
+    bad = ~accessible(workspace, candidates)
+    return bad if blocked is None else bad | blocked(candidates)
 
 
 def _spread(pool: Candidates, count: int, used: FloatArray, open_: BoolArray) -> list[int]:

@@ -1,5 +1,6 @@
 """The cell as a planner sees it: where things are believed to be, the tool, and what to keep clear of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -123,6 +124,20 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.joints_rad)
+
+    @staticmethod
+    def joined(batches: Sequence["Candidates"]) -> "Candidates":
+        """All of several batches with the same sensor, object and features."""
+        first = batches[0]
+        return Candidates(
+            first.sensor,
+            first.object,
+            first.features,
+            np.concatenate([batch.joints_rad for batch in batches]),
+            np.concatenate([batch.reading_m for batch in batches]),
+            np.concatenate([batch.feature_index for batch in batches]),
+            np.concatenate([batch.object_p_m for batch in batches]),
+        )
 
     def take(self, rows: IntArray | BoolArray | list[int]) -> "Candidates":
         """Some of them."""
