@@ -25,7 +25,7 @@ INCIDENCE_MARGIN_RAD: Final = np.radians(3.0)  # the mount may be turned by as m
 EDGE_MARGIN_M: Final = 0.004
 DRAWS: Final = 2000  # before reach, clearance and range are looked at
 PART_DRAWS: Final = 3000
-_FEW: Final = 30  # candidates on a face
+_FEW: Final = 200  # candidates on a face
 _REDRAWS: Final = 2
 
 

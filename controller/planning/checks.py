@@ -178,6 +178,11 @@ def _all_in_range(workspace: Workspace, drawn: Candidates, found: BoolArray) -> 
 def _repeated(workspace: Workspace, steps: Sequence[Step], count: int) -> tuple[Step, ...]:
     """Some of the steps again, far apart in the joints, with ways of their own."""
     joints = np.array([step.joints_rad for step in steps])
+    # What was learnt since may have brought one too near to something.
+    clear = [row for row, way in enumerate(accesses(workspace.keepout, joints)) if way is not None]
+    if not clear:
+        raise _unreachable("poses of the hand-eye again")
+    steps, joints = [steps[row] for row in clear], joints[clear]
     chosen = _apart(joints, min(count, len(steps)))
     order = chosen[nearest_order(joints[chosen], workspace.start_rad)]
     routes = require_all(accesses(workspace.keepout, joints[order]), "the plate")

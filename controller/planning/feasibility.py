@@ -20,7 +20,8 @@ from estimation.solver import predicted_belief
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
-DRAWS: Final = 3000
+DRAWS: Final = 3000  # on the plate
+PART_DRAWS: Final = 6000  # its faces have places that few beams reach
 _KEPT: Final = 16  # answers, by cell file
 
 # What would make each source smaller.
@@ -137,7 +138,7 @@ def _walk(cell: Cell) -> list[Reachable]:
             prior = _searched(cell, with_part(belief, cell), arm, spec)
             workspace = Workspace(cell, arm, prior)
             points, names = corner_points(cell, prior)
-            pool = part_candidates(workspace, spec.faces, 0, DRAWS, margin_m(workspace))
+            pool = part_candidates(workspace, spec.faces, 0, PART_DRAWS, margin_m(workspace))
         else:
             continue
         most = min(spec.most_measurements, len(pool))
@@ -157,7 +158,7 @@ def _walk(cell: Cell) -> list[Reachable]:
 def _searched(cell: Cell, prior: Belief, arm: ArmModel, spec: job.LocalizePhase) -> Belief:
     """What the coarse points leave."""
     workspace = Workspace(cell, arm, prior)
-    pool = part_candidates(workspace, spec.faces, 0, DRAWS // 2, margin_m(workspace))
+    pool = part_candidates(workspace, spec.faces, 0, PART_DRAWS // 2, margin_m(workspace))
     return _best(workspace, pool, corner_points(cell, prior)[0], COARSE_COUNT, "search")[0]
 
 
