@@ -33,7 +33,7 @@ from tests.conformance.pairs import GAUGE, ROBOTIQ, Pair
 from tests.conformance.rig import SETTINGS
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 8.0  # the processes of all tests share the computer
+PATIENCE = 4.0  # the processes of all tests share the computer
 DEADLINE_S = 30.0
 AS_IN_THE_CELL = {"range_start_mm": 50.0, "range_mm": 100.0}  # the device alone measures farther away
 

@@ -11,7 +11,7 @@ from tests.conformance.pairs import PAIRS, Pair
 from tests.conformance.processes import ProcessRig, process_rig
 
 pytestmark = pytest.mark.wire
-QUICK = ("canopen-402", "melfa-tcp", "optoncdt-1420", "riftek-modbus", "adam-6052", "wago-750-337")
+QUICK = ("canopen-402", "melfa-tcp", "optoncdt-1420", "riftek-modbus", "adam-6052")
 
 
 def by_name(pair: Pair) -> object:
