@@ -287,7 +287,8 @@ KINDS = (
     Kind(Cause.SWAPPED_JOINTS, ARMED, _numbers(swapped_joints, arm=True)),
     Kind(
         Cause.WRONG_SURFACE,
-        tuple(name for name in SENSORS if "unknown" not in name),
+        # Where radius or markers are unknown, another radius or other names are no mistake.
+        tuple(name for name in SENSORS if "unknown" not in name and name != "tracker"),
         _numbers(wrong_surface),
     ),
 )
