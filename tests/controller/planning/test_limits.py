@@ -15,10 +15,11 @@ from controller.cellfile import Cell, load_cell
 from controller.cellfile.job import LocalizePhase
 from controller.knowledge import first_belief, with_part, with_plate
 from controller.planning import plan_coarse_localize, plan_hand_eye, plan_localize
+from controller.planning.candidates import PART_DRAWS as PLAN_DRAWS
 from controller.planning.candidates import part_candidates
 from controller.planning.estimated import corner_points, margin_m
 from controller.planning.feasibility import PART_DRAWS, feasibility, limit_mistakes
-from controller.planning.workspace import Workspace, rows_of
+from controller.planning.workspace import Candidates, Workspace, rows_of
 from controller.verify.executor import open_executor
 from estimation.belief import Belief
 from estimation.design import DesignProblem, lower_bound
@@ -43,7 +44,11 @@ def before_localize(cell: Cell) -> Belief:
 def bound_mm(cell: Cell, belief: Belief) -> float:
     """No choice of all measurements that localize may take has a smaller U."""
     workspace = Workspace(cell, cell.robot.arm_model(), belief)
-    pool = part_candidates(workspace, localize_of(cell).faces, 0, PART_DRAWS, margin_m(workspace))
+    faces, margin = localize_of(cell).faces, margin_m(workspace)
+    # The beams of the plan and as many as the check draws: a bound holds for the candidates that it knows.
+    pool = Candidates.joined(
+        [part_candidates(workspace, faces, 0, draws, margin) for draws in (PLAN_DRAWS, PART_DRAWS)]
+    )
     rows, corners = rows_of(workspace, pool), corner_points(cell, belief)[0]
     problem = DesignProblem(belief.covariance, rows.dense(belief), rows.noise_variance, corners.jacobian)
     return 1e3 * coverage_factor(3) * float(np.sqrt(lower_bound(problem, MOST).value))
