@@ -47,13 +47,17 @@ def words(picture: Path) -> str:
     axes.set(xlabel="points", ylabel="seconds")
     axes.legend(fontsize="small")
     figure.savefig(picture, dpi=110)
-    memory = [peak_mb(_stripes(count)) for count in COUNTS[-4:]]
-    text += f"\n![time against points]({picture.name})\n\n"
-    text += "Stripes that pass over one part of 0.2 m by 60 mm again and again, made a batch at a time: "
-    text += ", ".join(
-        f"{mb:.1f} MB at 1e{len(str(n)) - 1}" for n, mb in zip(COUNTS[-4:], memory, strict=True)
+    return text + f"\n![time against points]({picture.name})\n\n" + streams()
+
+
+def streams() -> str:
+    """Peak memory of stripes that pass over the same part once, ten and a hundred times."""
+    peaks = [f"{peak_mb(_stripes(count)):.1f} MB at {count:.0e}" for count in (10**6, 10**7, 10**8)]
+    return (
+        "Stripes that pass over one part of 200 by 60 mm, batch by batch, once, ten and a hundred times: "
+        + ", ".join(peaks)
+        + " points, the peak beyond what the process held before.\n"
     )
-    return text + " points, the peak beyond what the process held before.\n"
 
 
 def _fit(kind: str) -> Callable[[int], Callable[[], object]]:
@@ -89,7 +93,7 @@ def _stripes(count: int) -> Callable[[], object]:
         voxels, number = Voxels(5e-4), 0
         for _ in range(count // (stripes * STRIPE)):
             poses = np.tile(at, (stripes, 1, 1))
-            poses[:, 0, 3] += 2e-5 * ((number + np.arange(stripes)) % 10_000)
+            poses[:, 0, 3] += 2e-4 * ((number + np.arange(stripes)) % 1_000)
             voxels.add(yz, poses)
             number += stripes
         return voxels.points
