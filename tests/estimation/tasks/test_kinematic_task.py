@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from estimation.loads import GravityLoad
 from estimation.solver import update
-from estimation.tasks.camera import Tracker
+from estimation.tasks.camera import Tracker, beam_covariance
 from estimation.tasks.findings import Cause, Status
 from estimation.tasks.kinematics import KinematicTask, calibrate
 from estimation.tasks.laser import PointLaserOnPlane, PointLaserOnPlanes
@@ -44,6 +44,15 @@ from tests.estimation.twin import pose as exp
 from tests.estimation.twin_poses import part_poses, plate_poses
 
 EIGHTEEN = tuple(f"{name}{joint + 1}" for joint, name in FREE)  # ESTIMATION.md, section 12
+
+
+def test_points_of_a_tracker_scatter_more_across_the_beam_the_farther_they_are() -> None:
+    rng, point = np.random.default_rng(1), np.array([[1.0, -2.0, 2.0]])  # 3 m away
+    turns = Rotation.from_rotvec(rng.normal(size=(20_000, 3)) * 1e-5)
+    sampled = np.cov((turns.apply(point[0]) + rng.normal(size=(20_000, 3)) * 1e-5).T)
+    stated = beam_covariance(point, 1e-5, 1e-5)[0]
+    assert sampled == pytest.approx(stated, abs=0.05 * np.trace(stated))
+    assert np.sqrt(np.linalg.eigvalsh(stated)) == pytest.approx([1e-5, *[np.sqrt(10.0) * 1e-5] * 2])
 
 
 def held(problem: KinematicTask) -> dict[str, str]:
