@@ -97,10 +97,13 @@ def test_coverage_over_many_positioners() -> None:
     squares = []
     for seed in range(300):
         cell = positioner_cell(np.random.default_rng(20_000 + seed), **CASES[names[seed % 5]])  # type: ignore[arg-type]
-        squares.append(nees(calibrate_axes(cell.problem), cell))
-    inside = int(np.sum(np.array(squares) < 15.507))
-    print(f"positioner: {inside} of 300 inside 95 %, mean NEES/m {np.mean(squares) / 8:.4f}")
-    assert 273 <= inside <= 294
+        found = calibrate_axes(cell.problem)
+        if found.estimate is not None:
+            squares.append(nees(found, cell))
+    inside, count = int(np.sum(np.array(squares) < 15.507)), len(squares)
+    print(f"positioner: {inside} of {count} inside 95 %, mean NEES/m {np.mean(squares) / 8:.4f}")
+    assert count >= 297  # at most 1 % refused
+    assert 273 - (300 - count) <= inside <= 294
     assert np.mean(squares) == pytest.approx(8.0, abs=3.3 * np.sqrt(16.0 / 300))
 
 
