@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from estimation.tasks.solve import Problem
 
 _BETTER: Final = np.log(1.5)  # that an explanation must be less surprising, to be looked at
-_MOST: Final = 3  # explanations that are estimated in full
+_MOST: Final = 3  # explanations that are estimated in full, and the best of each other cause
 _MEDIAN_SQUARE: Final = 0.455  # of a standard normal variable
 
 
@@ -24,8 +24,8 @@ def explained(
 ) -> Finding | None:
     """The mistake that, undone, makes the data hold; None if there is none.
 
-    All mistakes that the problem knows of are compared at their starts, which is cheap; only the few that are
-    less surprising than the problem itself are tried in full.
+    All mistakes that the problem knows of are compared at their starts, which is cheap. Of those that are
+    less surprising than the problem itself, the least surprising and one of each cause are tried in full.
     """
     surprise, found = _surprise_at(problem, starts), []
     for finding, other in problem.explanations():
@@ -34,7 +34,11 @@ def explained(
             if undone < surprise - _BETTER:
                 found.append((undone, finding, other))
     found.sort(key=lambda each: each[0])
-    return next((finding for _, finding, other in found[:_MOST] if holds(other)), None)
+    tried = found[:_MOST]  # a scale that shrinks the data shrinks their residuals, and would push others out
+    for each in found[_MOST:]:
+        if all(each[1].cause is not other[1].cause for other in tried):
+            tried.append(each)
+    return next((finding for _, finding, other in tried if holds(other)), None)
 
 
 def _surprise_at(problem: "Problem", starts: Sequence[Mapping[str, Value]]) -> float:
