@@ -29,7 +29,12 @@ def storm(pair: Pair, seed: int) -> None:
     faults = rng.choice(possible(pair), 2, replace=False).tolist()
     if pair.unseen_together and all(set(kinds) & set(faults) for kinds in pair.unseen_together):
         faults = faults[:1]
-    play(pair, seed, faults, float(rng.choice([0.01, 0.05, 0.2])), float(rng.uniform(0.0, pair.latest_s)))
+    chance, late_s = float(rng.choice([0.01, 0.05, 0.2])), float(rng.uniform(0.0, pair.latest_s))
+    if (
+        "reorder" in faults
+    ):  # it waits for the next message besides; both together must not be later than the worst
+        late_s /= 2.0
+    play(pair, seed, faults, chance, late_s)
 
 
 def play(pair: Pair, seed: int, faults: Iterable[str], chance: float, late_s: float) -> None:
