@@ -34,7 +34,8 @@ def serve(
     from controller.daemon.serve import serve as serve_engine
     from controller.service import build_engine
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(message)s")
+    logging.getLogger("controller").setLevel(logging.INFO)  # the audit trail; libraries tell of themselves
     folder, address = options.state_folder(cell, state_dir), socket or default_socket()
     engine, store = build_engine(cell, folder)
     gc.collect()

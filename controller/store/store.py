@@ -1,6 +1,7 @@
 """The store: every method that writes returns only after the record is durable."""
 
 import json
+import logging
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from controller.store.records import (
 )
 from drivers.clock import Clock, RealClock
 from estimation.errors import StoreError
+
+log = logging.getLogger(__name__)
 
 _RUNS: Final = schema.RUNS
 _PHASES: Final = schema.PHASES
@@ -324,6 +327,7 @@ class Store:
     def _append(self, connection: sa.Connection, kind: str, text: str, data: JsonObject) -> Event:
         event = audit.append(connection, self._head, self._clock.utc_s(), kind, text, data)
         self._head = audit.Head(event.sequence, event.hash)
+        log.info("%s: %s", kind, text)
         return event
 
     def _write_anchor(self) -> None:

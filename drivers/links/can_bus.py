@@ -42,6 +42,20 @@ class _TolerantSlcanBus(slcanBus):
 
     bad_frames = 0
 
+    def __init__(self, port: str, bitrate: int) -> None:
+        try:
+            super().__init__(port, tty_baudrate=TTY_BAUD, bitrate=bitrate, sleep_after_open=0.0)
+        except BaseException:
+            self._is_shutdown = True  # else the end of this object would send "close the bus" to the port
+            if hasattr(self, "serialPortOrig"):
+                self.serialPortOrig.close()
+            raise
+
+    def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
+        """Comes before anything else is sent, so it locks the port: the dongle may serve another master."""
+        self.serialPortOrig.exclusive = True
+        super().set_bitrate(bitrate, data_bitrate)
+
     def _read(self, timeout: float | None) -> str | None:
         waited: Any = serial.Timeout(timeout)  # type: ignore[arg-type]  # None waits for ever
         with error_check("Could not read from serial device"):
@@ -152,13 +166,7 @@ class PythonCanLink:
     def _open(self) -> Any:
         if self.interface == "socketcan":
             return can.Bus(interface="socketcan", channel=self.port)
-        bus = _TolerantSlcanBus(self.port, tty_baudrate=TTY_BAUD, bitrate=self._bitrate, sleep_after_open=0.0)
-        try:
-            bus.serialPortOrig.exclusive = True  # two masters on one dongle would both seem to work
-        except BaseException:
-            bus.serialPortOrig.close()
-            raise
-        return bus
+        return _TolerantSlcanBus(self.port, self._bitrate)
 
     def _require(self) -> Any:
         if self._bus is None:

@@ -165,7 +165,10 @@ def _check_parity(port: serial.Serial) -> None:
 
 def opening_failed(port: str, error: Exception) -> DeviceError:
     """Why a port cannot be opened, and what to do."""
-    number = getattr(error, "errno", None)
+    told = [
+        getattr(each, "errno", None) for each in (error, error.__cause__)
+    ]  # python-can tells it of the cause
+    number = next((each for each in told if isinstance(each, int)), None)
     text = str(error)
     remedy = "Check the port in the cell file"
     if number == errno.ENOENT or "No such file" in text:
@@ -175,5 +178,5 @@ def opening_failed(port: str, error: Exception) -> DeviceError:
     elif number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         remedy = "Another program uses it: stop that one"
     # pyserial's own text names the port again, twice.
-    cause = os.strerror(number) if isinstance(number, int) else text.rpartition("] ")[2]
+    cause = os.strerror(number) if number is not None else text.rpartition("] ")[2]
     return DeviceError(f"Port {port} cannot be opened: {cause}", remedy)

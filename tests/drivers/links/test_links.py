@@ -1,5 +1,6 @@
 """Real links on pseudo-terminals and loopback TCP."""
 
+import gc
 import socket
 import threading
 from pathlib import Path
@@ -116,6 +117,32 @@ def test_slcan_carries_frames_and_counts_malformed_lines() -> None:
             while True:
                 link.receive(1.0)
         link.close()
+
+
+def test_a_dongle_in_use_hears_nothing_of_a_second_master(caplog: pytest.LogCaptureFixture) -> None:
+    """It would close the bus of the first one, under a moving arm."""
+    with pseudo_terminal() as port:
+        heard, opened, sent = bytearray(), threading.Event(), threading.Event()
+
+        def take(data: bytes) -> None:
+            heard.extend(data)
+            for end, event in ((b"O\rO\r", opened), (b"t0800\r", sent)):  # python-can opens twice
+                if heard.endswith(end):
+                    event.set()
+
+        port.on_data = take
+        first, second = PythonCanLink("slcan", port.path), PythonCanLink("slcan", port.path)
+        first.reopen()
+        assert opened.wait(5.0)
+        before = bytes(heard)
+        with pytest.raises(DeviceError, match="Another program uses it"):
+            second.reopen()
+        gc.collect()
+        first.send(0x80, b"")
+        assert sent.wait(5.0)
+        assert bytes(heard) == before + b"t0800\r"
+        assert not caplog.records
+        first.close()
 
 
 def test_no_slcan_line_with_a_lost_or_doubled_byte_is_taken() -> None:
