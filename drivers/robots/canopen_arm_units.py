@@ -8,6 +8,7 @@ import numpy as np
 from drivers.capabilities import Contact
 from drivers.robots.canopen_arm_setup import ArmConfig
 from drivers.robots.canopen_master import Sample
+from drivers.robots.joint_limits import within_limits
 from drivers.robots.motion_profile import synchronize
 from estimation.errors import DeviceError
 from estimation.transform import FloatArray
@@ -29,20 +30,7 @@ class JointUnits:
 
     def counts(self, target_rad: FloatArray) -> list[int]:
         """A target (joints,) in counts. Raises DeviceError outside the joint limits."""
-        target = np.asarray(target_rad, dtype=np.float64)
-        if target.shape != self._lower.shape or not np.isfinite(target).all():
-            raise DeviceError(
-                f"Joint target of shape {target.shape} with values {target}",
-                f"Give {len(self._lower)} finite angles",
-            )
-        outside = np.flatnonzero((target < self._lower) | (target > self._upper))
-        if outside.size:
-            i = int(outside[0])
-            low, value, high = np.degrees((self._lower[i], target[i], self._upper[i]))
-            raise DeviceError(
-                f"Target of joint {i + 1} is {value:.3f} deg, limits {low:.3f} to {high:.3f} deg",
-                "Choose a pose inside the joint limits",
-            )
+        target = within_limits(target_rad, self._lower, self._upper)
         return [round(float(angle) * self._counts_per_rad) for angle in target]
 
     def move(

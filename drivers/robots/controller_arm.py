@@ -24,6 +24,7 @@ from drivers.capabilities import (
     TouchProbe,
 )
 from drivers.clock import Clock
+from drivers.robots.joint_limits import within_limits
 from drivers.robots.motion_profile import synchronize
 from drivers.robots.robot_controller import ControllerArmConfig, RobotController
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
@@ -108,7 +109,8 @@ class ControllerArm:
         """
         if not 0.0 < speed_fraction <= 1.0:
             raise DeviceError(f"Speed fraction {speed_fraction:g}", "Give a fraction in (0, 1]")
-        target, speed_rad_s = self._checked(target_rad), self._config.speed_limit_rad_s * speed_fraction
+        target = within_limits(target_rad, self._lower, self._upper)
+        speed_rad_s = self._config.speed_limit_rad_s * speed_fraction
         with self._at_rest_on_error():
             for step in self._steps(target, self._config.step_rad):
                 self._wait_until_arrived(self._start(step, speed_rad_s))
@@ -138,7 +140,7 @@ class ControllerArm:
         They are those at the instant of contact where the controller stamps its readings, otherwise those at
         rest after the stop, or after the step in which the contact was; `late_s` says what that may mean.
         """
-        target = self._checked(target_rad)
+        target = within_limits(target_rad, self._lower, self._upper)
         speed_rad_s = min(speed_rad_s, self._config.speed_limit_rad_s)
         with self._at_rest_on_error():
             if self.abilities.stop is StopWay.BETWEEN_STEPS:
@@ -371,23 +373,6 @@ class ControllerArm:
             raise
 
     # --- judging -------------------------------------------------------------------------------------
-
-    def _checked(self, target_rad: FloatArray) -> FloatArray:
-        target = np.asarray(target_rad, dtype=np.float64)
-        if target.shape != self._lower.shape or not np.isfinite(target).all():
-            raise DeviceError(
-                f"Joint target of shape {target.shape} with values {target}",
-                f"Give {len(self._lower)} finite angles",
-            )
-        outside = np.flatnonzero((target < self._lower) | (target > self._upper))
-        if outside.size:
-            i = int(outside[0])
-            low, value, high = np.degrees((self._lower[i], target[i], self._upper[i]))
-            raise DeviceError(
-                f"Target of joint {i + 1} is {value:.3f} deg, limits {low:.3f} to {high:.3f} deg",
-                "Choose a pose inside the joint limits",
-            )
-        return target
 
     def _stands(self, first: FloatArray, second: FloatArray) -> bool:
         return bool((np.abs(second - first) <= self._apart_rad).all())

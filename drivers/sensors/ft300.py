@@ -13,7 +13,7 @@ from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.links.modbus_rtu import ModbusRtu
 from drivers.sensors import ft300_codec as codec
-from drivers.sensors.windows import collect
+from drivers.sensors.stream import Stream
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from estimation.transform import FloatArray
 
@@ -50,7 +50,18 @@ class Ft300:
             worst_answer_s=config.worst_answer_s,
         )
         self._decoder = codec.StreamDecoder()
-        self._opened = self._frames = self._timeouts = 0
+        self._stream = Stream(
+            link,
+            clock,
+            self._decoder,
+            name="Force sensor",
+            item="valid frame",
+            line="cable and baud rate",
+            period_s=PERIOD_S,
+            silence_s=config.silence_s,
+            stale_s=config.stale_s,
+        )
+        self._opened = 0
         self._connected = False
         self._heard_s = self._polled_s = 0.0  # the last valid frame, while polling
 
@@ -84,32 +95,19 @@ class Ft300:
         """Link counters; sixteen stray bytes count as one bad frame."""
         modbus = self._modbus
         bad = modbus.bad_frames + math.ceil(self._decoder.bad_bytes / codec.FRAME_BYTES)
-        frames = modbus.frames + self._frames
-        return LinkHealth(frames, bad, modbus.timeouts + self._timeouts, max(0, self._opened - 1))
+        frames, timeouts = modbus.frames + self._stream.frames, modbus.timeouts + self._stream.timeouts
+        return LinkHealth(frames, bad, timeouts, max(0, self._opened - 1))
 
     def begin_window(self) -> None:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The force sensor is not connected", "Connect it first")
-        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
-        self._link.discard_input()
-        self._decoder.reset()
+        self._stream.begin()
         self._heard_s = self._clock.now_s()
 
     def end_window(self, minimum: int) -> ForceReadings:
         """All cycles measured since `begin_window`, at least `minimum`. Raises DeviceTimeout, FrameError."""
-        bad_before = self._decoder.bad_bytes
-        window = collect(
-            self._link,
-            self._clock,
-            self._decoder.feed,
-            minimum=minimum,
-            period_s=PERIOD_S,
-            silence_s=self._config.silence_s,
-        )
-        self._frames += len(window.values)
-        if len(window.values) < max(minimum, 1):
-            raise self._silent(self._decoder.bad_bytes - bad_before)
+        window = self._stream.end(minimum)
         self._heard_s = float(window.time_s[-1])
         return ForceReadings(window.time_s, window.values[:, :3], window.values[:, 3:])
 
@@ -125,21 +123,11 @@ class Ft300:
         self._polled_s = now = self._clock.now_s()
         if len(wrenches):
             self._heard_s = now
-            self._frames += len(wrenches)
+            self._stream.frames += len(wrenches)
             return wrenches[:, :3], now
         if now - self._heard_s > self._config.silence_s:
-            raise self._silent(0)
+            raise self._stream.silent(0)
         return None
-
-    def _silent(self, bad_bytes: int) -> DeviceError:
-        self._timeouts += 1
-        limit_s = self._config.silence_s
-        if bad_bytes > 0:
-            return FrameError(
-                f"Force sensor: {bad_bytes} unreadable bytes and no valid frame in {limit_s:g} s",
-                "Check cable and baud rate",
-            )
-        return DeviceTimeout(f"Force sensor: no frame for {limit_s:g} s", "Check cable and power")
 
     # --- set-up --------------------------------------------------------------------------------------
 

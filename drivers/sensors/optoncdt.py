@@ -13,7 +13,8 @@ from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.sensors import optoncdt_codec as codec
 from drivers.sensors.optoncdt_codec import CodeArray
-from drivers.sensors.windows import can_freeze, collect, refuse_frozen
+from drivers.sensors.stream import Stream
+from drivers.sensors.windows import can_freeze, refuse_frozen
 from estimation.errors import DeviceError, DeviceTimeout, FrameError, IdentityMismatch
 from estimation.transform import FloatArray
 
@@ -45,7 +46,18 @@ class OptoncdtLaser:
     def __init__(self, link: ByteLink, config: LaserConfig, clock: Clock) -> None:
         self._link, self._config, self._clock = link, config, clock
         self._decoder = codec.StreamDecoder()
-        self._opened = self._frames = self._timeouts = 0
+        self._stream = Stream(
+            link,
+            clock,
+            self._decoder,
+            name="Laser",
+            item="value",
+            line="cable and baud rate",
+            period_s=1.0 / config.rate_hz,
+            silence_s=config.silence_s,
+            stale_s=config.stale_s,
+        )
+        self._opened = self._timeouts = 0
         self._connected = False
         self._watch_frozen = can_freeze(config.noise_m, codec.resolution(config.range_m))
 
@@ -97,35 +109,21 @@ class OptoncdtLaser:
     def health(self) -> LinkHealth:
         """Link counters; three stray bytes count as one bad frame."""
         bad_frames = math.ceil(self._decoder.bad_bytes / 3)
-        return LinkHealth(self._frames, bad_frames, self._timeouts, max(0, self._opened - 1))
+        timeouts = self._timeouts + self._stream.timeouts
+        return LinkHealth(self._stream.frames, bad_frames, timeouts, max(0, self._opened - 1))
 
     def begin_window(self) -> None:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The laser is not connected", "Connect it first")
-        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
-        self._link.discard_input()
-        self._decoder.reset()
+        self._stream.begin()
 
     def end_window(self, minimum: int) -> RangeReadings:
         """All cycles since `begin_window`, at least `minimum` of them; distances from the sensor's frame.
 
         Raises DeviceTimeout (silence), FrameError (unreadable), DeviceError (frozen).
         """
-        config, period_s = self._config, 1.0 / self._config.rate_hz
-        bad_before = self._decoder.bad_bytes
-        window = collect(
-            self._link,
-            self._clock,
-            self._decoder.feed,
-            minimum=minimum,
-            period_s=period_s,
-            silence_s=config.silence_s,
-        )
-        got = len(window.values)
-        self._frames += got
-        if got < max(minimum, 1):
-            raise self._silent(window.bytes_seen, self._decoder.bad_bytes - bad_before)
+        window = self._stream.end(minimum)
         return self._readings(window.values, window.time_s)
 
     # --- values --------------------------------------------------------------------------------------
@@ -146,16 +144,6 @@ class OptoncdtLaser:
                 kinds += (f"outside the working range of {limits}",)
         rejected = int(codes.size - np.count_nonzero(good))
         return RangeReadings(time_s[good], distance_m[good], rejected, kinds)
-
-    def _silent(self, bytes_seen: int, bad_bytes: int) -> DeviceError:
-        self._timeouts += 1
-        limit_s = self._config.silence_s
-        if bad_bytes > 0:
-            return FrameError(
-                f"Laser: {bad_bytes} of {bytes_seen} bytes unreadable and no value in {limit_s:g} s",
-                "Check cable and baud rate",
-            )
-        return DeviceTimeout(f"Laser: no data for {limit_s:g} s", "Check cable and power")
 
     # --- commands ------------------------------------------------------------------------------------
 

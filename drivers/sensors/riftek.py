@@ -9,7 +9,7 @@ from drivers.clock import Clock
 from drivers.links.interfaces import ByteLink
 from drivers.sensors import riftek_codec as codec
 from drivers.sensors.riftek_settings import BITS_PER_BYTE, RiftekConfig, compare, readings
-from drivers.sensors.windows import collect
+from drivers.sensors.stream import Stream
 from estimation.errors import DeviceError, DeviceTimeout, FrameError
 
 STOPS: Final = 2  # the first may meet the rest of another request
@@ -26,8 +26,19 @@ class RiftekLaser:
     def __init__(self, link: ByteLink, config: RiftekConfig, clock: Clock) -> None:
         self._link, self._config, self._clock = link, config, clock
         self._decoder = codec.ResultDecoder()
+        self._stream = Stream(
+            link,
+            clock,
+            self._decoder,
+            name="Laser",
+            item="result",
+            line="cable, baud rate and even parity",
+            period_s=config.period_us * 1e-6,
+            silence_s=config.silence_s,
+            stale_s=config.stale_s,
+        )
         self._byte_s = BITS_PER_BYTE / config.baud
-        self._opened = self._frames = self._bad_frames = self._timeouts = 0
+        self._opened = self._answers = self._bad_frames = self._timeouts = 0
         self._number = -1  # of the last answer
         self._connected = False
 
@@ -77,45 +88,22 @@ class RiftekLaser:
         """Link counters; a packet that is missing in the numbering, or four stray bytes, is one bad frame."""
         decoder = self._decoder
         bad = self._bad_frames + decoder.lost + math.ceil(decoder.bad_bytes / codec.RESULT_NIBBLES)
-        return LinkHealth(self._frames, bad, self._timeouts, max(0, self._opened - 1))
+        frames, timeouts = self._answers + self._stream.frames, self._timeouts + self._stream.timeouts
+        return LinkHealth(frames, bad, timeouts, max(0, self._opened - 1))
 
     def begin_window(self) -> None:
         """Forget everything received so far."""
         if not self._connected:
             raise DeviceError("The laser is not connected", "Connect it first")
-        self._clock.sleep(self._config.stale_s)  # what lies in the converter now comes within
-        self._link.discard_input()
-        self._decoder.reset()
+        self._stream.begin()
 
     def end_window(self, minimum: int) -> RangeReadings:
         """All results since `begin_window`, at least `minimum` of them.
 
         Raises DeviceTimeout (silence), FrameError (unreadable), DeviceError (frozen).
         """
-        config, period_s = self._config, self._config.period_us * 1e-6
-        bad_before = self._decoder.bad_bytes
-        window = collect(
-            self._link,
-            self._clock,
-            self._decoder.feed,
-            minimum=minimum,
-            period_s=period_s,
-            silence_s=config.silence_s,
-        )
-        self._frames += len(window.values)
-        if len(window.values) < max(minimum, 1):
-            raise self._silent(self._decoder.bad_bytes - bad_before)
-        return readings(config, window.values, window.time_s)
-
-    def _silent(self, bad_bytes: int) -> DeviceError:
-        self._timeouts += 1
-        limit_s = self._config.silence_s
-        if bad_bytes > 0:
-            return FrameError(
-                f"Laser: {bad_bytes} unreadable bytes and no result in {limit_s:g} s",
-                "Check cable, baud rate and even parity",
-            )
-        return DeviceTimeout(f"Laser: no result for {limit_s:g} s", "Check cable and power")
+        window = self._stream.end(minimum)
+        return readings(self._config, window.values, window.time_s)
 
     # --- requests ------------------------------------------------------------------------------------
 
@@ -152,7 +140,7 @@ class RiftekLaser:
                 "Look for a second master on the line",
             )
         self._number = packet.number
-        self._frames += 1
+        self._answers += 1
         return packet.data
 
     def _exchange(self, request: bytes, nibbles: int) -> codec.Packet:

@@ -1,4 +1,4 @@
-"""Windows on a sensor that sends all the time: what arrived in them, when, and whether it is alive."""
+"""Windows of readings: the values of a sensor, when each arrived, and whether the sensor is alive."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,59 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.clock import Clock
-from drivers.links.interfaces import ByteLink
 from estimation.errors import DeviceError
 from estimation.transform import FloatArray
 
 FROZEN_RUN: Final = 20  # identical values in a row: p < 5e-4 where the noise is 0.5 steps or more
 FROZEN_NOISE_STEPS: Final = 0.5
-LONGEST_PAUSE_S: Final = 0.05  # between two reads while many values are still to come
 
 Values = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Values (n, ...) in order, and the receive time (n,) of each, spread by the period of the sensor."""
+    """Values (n, ...) in order, and the receive time (n,) of each."""
 
     values: Values
     time_s: FloatArray
-    bytes_seen: int
-
-
-def collect(
-    link: ByteLink,
-    clock: Clock,
-    feed: Callable[[bytes], Values],
-    *,
-    minimum: int,
-    period_s: float,
-    silence_s: float,
-) -> Window:
-    """At least `minimum` values and whatever else has come; fewer if there was none for `silence_s`.
-
-    `feed` takes bytes and gives the values (n, ...) that are complete with them.
-    """
-    chunks, times, got, bytes_seen = list[Values](), list[FloatArray](), 0, 0
-    heard_s = clock.now_s()
-    while got < minimum or not chunks:
-        data = link.read(period_s)
-        now = clock.now_s()
-        bytes_seen += len(data)
-        values = feed(data) if data else None
-        if values is not None and len(values):
-            heard_s = now
-            chunks.append(values)
-            times.append(now - period_s * np.arange(len(values) - 1, -1, -1, dtype=np.float64))
-            got += len(values)
-            missing = minimum - got
-            if missing > 1:
-                clock.sleep(min(missing * period_s, LONGEST_PAUSE_S))
-        elif now - heard_s >= silence_s:
-            break
-    if not chunks:
-        return Window(feed(b""), np.empty(0), bytes_seen)
-    return Window(np.concatenate(chunks), np.concatenate(times), bytes_seen)
 
 
 def poll(
@@ -77,7 +39,7 @@ def poll(
         value, received_s = ask()
         values.append(value)
         times.append(received_s)
-    return Window(np.array(values), np.array(times), 0)
+    return Window(np.array(values), np.array(times))
 
 
 def can_freeze(noise_m: float, step_m: float) -> bool:

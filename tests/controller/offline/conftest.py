@@ -29,13 +29,15 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.fixture
 def refused(tmp_path: Path) -> Callable[[dict[str, Any]], str]:
-    """The sentence with which a data set is refused."""
+    """The sentence with which a data set is refused: a line for each mistake, with the file."""
 
     def call(content: dict[str, Any]) -> str:
         path = tmp_path / "bad.json"
         path.write_text(json.dumps(content, indent=1))
         with pytest.raises(BadFile) as caught:
             read_dataset(path)
-        return caught.value.problem
+        said = caught.value.problem
+        assert all(line.startswith("bad.json:") for line in said.splitlines())
+        return said
 
     return call

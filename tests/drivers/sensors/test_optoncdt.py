@@ -141,7 +141,7 @@ def test_silence_is_a_timeout_within_a_quarter_second() -> None:
     clock.sleep(0.1)
     laser.begin_window()
     began_s = clock.time_s
-    with pytest.raises(DeviceTimeout, match=r"no data for 0.25 s. Check cable and power"):
+    with pytest.raises(DeviceTimeout, match=r"no value for 0\.25 s\. Check cable and power"):
         laser.end_window(10)
     assert clock.time_s - began_s < 0.27
 
@@ -152,7 +152,7 @@ def test_unreadable_bytes_are_a_frame_error() -> None:
     link.mute = True
     for delay_ms in range(300):
         link.later(delay_ms * 1e-3, b"\xff\xff\xff")
-    with pytest.raises(FrameError, match=r"unreadable and no value in 0\.25 s"):
+    with pytest.raises(FrameError, match=r"unreadable bytes and no value in 0\.25 s"):
         laser.end_window(10)
     assert laser.health().bad_frames > 100
 
