@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.processes import ROOT
 
-pytestmark = [pytest.mark.wire, pytest.mark.campaign, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.wire, pytest.mark.campaign]
 
 ENDINGS = {  # exit code, state, words of the last message
     "bumped-laser": (6, "Held", ("bump of the laser", "limit")),

@@ -10,7 +10,6 @@ LONGEST_GAP_S = 0.060
 
 @pytest.mark.campaign
 @pytest.mark.wire
-@pytest.mark.timeout(180)
 def test_no_gap_is_longer_than_three_periods_of_sync() -> None:
     seen = regularity(60.0)
     print(seen)

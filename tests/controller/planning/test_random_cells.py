@@ -71,6 +71,5 @@ def test_plans_of_two_random_cells() -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(3600)
 def test_plans_of_two_hundred_random_cells() -> None:
     judge(outcomes(200))

@@ -23,7 +23,6 @@ def test_hostile_data_are_recognised(kind: Kind) -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(3600)
 @by_kind
 def test_two_hundred_draws_of_hostile_data(kind: Kind) -> None:
     draws = hostile(kind, 200)
@@ -32,7 +31,6 @@ def test_two_hundred_draws_of_hostile_data(kind: Kind) -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(3600)
 def test_four_thousand_sound_sets() -> None:
     draws = sound(4000)
     for task in ALL:

@@ -15,7 +15,6 @@ DRAWS = 500
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", TASKS)
 def test_start_test_of_every_task(name: str) -> None:
     """99 % end where the truth is within the covariance; the rest give no value."""
