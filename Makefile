@@ -58,7 +58,8 @@ fmt: $(STAMP) ## format and fix what can be fixed by machine
 	@$(BIN)/ruff format .
 
 campaign: $(STAMP) ## long statistical tests
-	@$(BIN)/pytest -q -n 2 -m campaign
+	@$(BIN)/pytest -q -n 2 -m "campaign and not wire"
+	@$(BIN)/pytest -q -m "campaign and wire"
 	@$(MAKE) --no-print-directory coverage
 
 coverage: $(STAMP) ## 5,000 random cells, into docs/evidence.md
