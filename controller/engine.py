@@ -123,7 +123,7 @@ class Engine:
                 state = self._machine.fire(command)
                 self._job.record(
                     "command",
-                    f"{command} by {who}",
+                    f"{command} by {who}" + (f": {reason}" if reason else ""),
                     command=command.value,
                     who=who,
                     reason=reason,

@@ -185,7 +185,9 @@ def gated(chart: Chart, z: FloatArray, robust: Robust, level: float, tolerance: 
         used[worst] = squared[worst] <= limit
         if np.sum(~used) > allowed:
             raise ContradictingData(
-                f"More than {allowed} of {count} measurements contradict the others",
+                f"More than {allowed} of {count} measurements contradict the others"
+                if allowed
+                else f"The {count} measurements contradict each other, and of so few none can be left out",
                 "Look for a moved object, a wrong feature or a loose sensor, then measure again",
             )
         if (used == before).all():

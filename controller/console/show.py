@@ -69,7 +69,8 @@ def status_table(status: Mapping[str, Any]) -> Table:
     row("cell", escape(str(status.get("cell") or "")))
     row("state", f"{coloured(status['state'])} ({status.get('state_no')})")
     row("run", str(status.get("run") or ""))
-    row("job", escape(progress_text(status.get("progress") or {})))
+    over = status["state"] in ("Stopped", "Aborted", "Idle")
+    row("last step" if over else "job", escape(progress_text(status.get("progress") or {})))
     row("message", escape(str(status.get("message") or "")))
     if status.get("fault"):
         row("fault", f"[red]{escape(fault_text(status['fault']))}[/red]")
