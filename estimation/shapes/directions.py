@@ -40,7 +40,9 @@ class Revolutions:
     def __init__(self, points: FloatArray) -> None:
         monomials = _monomials(points)
         self._moments = monomials @ monomials.T / len(points)
-        self._directions = np.vstack([_half_sphere(), _principal(points), _quadric_axes(self._moments)])
+        self._directions = np.vstack(
+            [half_sphere(_DIRECTIONS), principal(points), _quadric_axes(self._moments)]
+        )
         frames = frame_of(self._directions)
         self._u, self._v, self._w = frames[:, :, 0], frames[:, :, 1], frames[:, :, 2]
 
@@ -134,16 +136,16 @@ def _monomials(points: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
 
 
-def _half_sphere() -> FloatArray:
-    """Directions (m, 3), evenly spread: a Fibonacci spiral."""
-    number = np.arange(_DIRECTIONS)
-    z = (number + 0.5) / _DIRECTIONS
+def half_sphere(count: int) -> FloatArray:
+    """Directions (count, 3), evenly spread: a Fibonacci spiral."""
+    number = np.arange(count)
+    z = (number + 0.5) / count
     turn = number * np.pi * (3.0 - np.sqrt(5.0))
     rho = np.sqrt(1.0 - z * z)
     return np.column_stack([rho * np.cos(turn), rho * np.sin(turn), z])
 
 
-def _principal(points: FloatArray) -> FloatArray:
+def principal(points: FloatArray) -> FloatArray:
     """Principal directions (3, 3) of the points: the axis of a long cylinder, or of a ring."""
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 

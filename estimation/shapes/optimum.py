@@ -22,7 +22,8 @@ _TRIED_STARTS: Final = 12
 _TRIAL_ITERATIONS: Final = 6
 _POLISHED_STARTS: Final = 4
 _FEW_POINTS: Final = 60  # for which any start may be the only good one
-_AGREEING: Final = 3
+_AGREEING: Final = 3  # ways to the same minimum, from the best starts
+_ENOUGH_TO_AGREE: Final = 15  # fewer points have minima that several starts find, and are not the lowest
 _EXACT: Final = 1e-24  # mean square of a perfect fit, in squares of the size
 _SAME: Final = 1e-6  # of the cost: two minima are one
 
@@ -122,7 +123,7 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
             found.append(each)
         lowest = min((other.cost for other in found), default=np.inf)
         agreeing = [o for o in found if o.converged and o.cost <= lowest * (1.0 + _SAME) + rounding]
-        if len(agreeing) >= _AGREEING:  # three ways to the same minimum, from the best starts
+        if len(agreeing) >= _AGREEING and len(points_m) >= _ENOUGH_TO_AGREE:
             break
     found.sort(key=lambda each: each.cost)
     distinct: list[Optimum] = []

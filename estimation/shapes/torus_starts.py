@@ -9,12 +9,15 @@ from typing import Final
 
 import numpy as np
 
+from estimation.shapes.directions import half_sphere, principal
 from estimation.shapes.shape import frame_of
 from estimation.transform import FloatArray
 
 _LATITUDES: Final = np.radians(np.arange(0.0, 360.0, 30.0))  # where on the tube the points may lie
 _MAJORS: Final = (0.7, 2.0)  # where nothing tells
 _LARGEST_MAJOR: Final = 100.0
+_CYCLIDE_POINTS: Final = 15
+_FEW_AXES: Final = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +32,9 @@ class Ring:
 
 def candidates(points: FloatArray) -> list[Ring]:
     """Tori that may be near points (n, 3), centred and of size 1."""
-    found = [*_circles(points), *_osculating(points)]
-    if len(points) >= 15:
-        found += _cyclide(points)
+    found = [*_circles(points, principal(points)), *_osculating(points)]
+    # Too few for a cyclide leave many minima, and their fits take little time.
+    found += _cyclide(points) if len(points) >= _CYCLIDE_POINTS else _circles(points, half_sphere(_FEW_AXES))
     return [ring for ring in found if np.isfinite(ring.major + ring.minor) and ring.major > 0 < ring.minor]
 
 
@@ -73,12 +76,11 @@ def _cyclide(points: FloatArray) -> list[Ring]:
     return rings
 
 
-def _circles(points: FloatArray) -> list[Ring]:
-    """A circle in the plane across each principal direction, with the mean distance from it as the tube."""
+def _circles(points: FloatArray, axes: FloatArray) -> list[Ring]:
+    """A circle in the plane across each axis (m, 3), with the mean distance from it as the tube."""
     centroid = points.mean(axis=0)
-    _, _, directions = np.linalg.svd(points - centroid, full_matrices=False)
     rings = []
-    for axis in directions:
+    for axis in axes:
         frame = frame_of(axis)
         u, v, w = frame.T @ (points - centroid).T
         design = np.column_stack([2.0 * u, 2.0 * v, np.ones_like(u)])

@@ -38,6 +38,14 @@ def test_agrees_with_references_to_fifty_digits(kind: str, arc_deg: float) -> No
         assert fit.shape.sizes == pytest.approx(sizes, abs=_LIMIT_M)
 
 
+@pytest.mark.parametrize("count", [10, 12])
+def test_the_torus_through_few_points_is_found(count: int) -> None:
+    """They leave many local minima; that of the truth has no residuals."""
+    for seed in range(20):
+        data = cloud("torus", seed, count=count, arc_deg=200.0, sigma_m=1e-8)
+        assert fit_surface("torus", data.points_m).rms_m < 3e-8
+
+
 def _freedom_errors(fit: SurfaceFit, kind: str, seed: int) -> FloatArray:
     """Of the true surface, seen from the fitted one, in the freedoms of its covariance."""
     truth = cloud(kind, seed, count=60)
