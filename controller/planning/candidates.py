@@ -23,7 +23,9 @@ from estimation.transform import FloatArray
 MOST_TILT_RAD: Final = np.radians(28.0)  # more gains little, and the beam's spot grows
 INCIDENCE_MARGIN_RAD: Final = np.radians(3.0)  # the mount may be turned by as much
 EDGE_MARGIN_M: Final = 0.004
-DRAWS: Final = 2000  # before reach, clearance and range are looked at
+# Before reach, clearance and range are looked at. On the plate they must be many times what is chosen: with a
+# third of them the best 160 poses leave 8 to 13 % more uncertainty.
+DRAWS: Final = 6000
 PART_DRAWS: Final = 3000
 _FEW: Final = 200  # candidates on a face
 _REDRAWS: Final = 2
@@ -111,12 +113,12 @@ def occluded(
     laser, base_T_part = workspace.pose("laser"), workspace.pose("part")
     base_T_laser = workspace.actual_arm.flange_pose(candidates.joints_rad) @ laser.matrix
     names = [candidates.features[int(i)].name for i in candidates.feature_index]
-    failed = np.zeros(len(candidates), dtype=np.bool_)
-    for displacement in (np.eye(4), *displacements):
-        part_T_laser = np.linalg.inv(base_T_part.matrix @ displacement) @ base_T_laser
-        met = beams_meet(workspace.cell, part_T_laser[:, :3, 3], part_T_laser[:, :3, 2], names)
-        failed |= ~(met.on_face & met.within(workspace.cell.laser))
-    part_T_laser = base_T_part.inverse().matrix @ base_T_laser
+    places = np.array([np.eye(4), *displacements])
+    there_T_laser = (np.linalg.inv(base_T_part.matrix @ places)[:, None] @ base_T_laser).reshape(-1, 4, 4)
+    met = beams_meet(workspace.cell, there_T_laser[:, :3, 3], there_T_laser[:, :3, 2], names * len(places))
+    hit = met.on_face & met.within(workspace.cell.laser)
+    failed = np.logical_not(hit.reshape(len(places), -1).all(axis=0))
+    part_T_laser = there_T_laser[: len(candidates)]
     shift_m = beside_m * np.cos(workspace.cell.laser.max_incidence_rad)  # across the beam
     for axis, side in ((0, shift_m), (0, -shift_m), (1, shift_m), (1, -shift_m)) if shift_m else ():
         beside = part_T_laser[:, :3, 3] + side * part_T_laser[:, :3, axis]

@@ -1,6 +1,7 @@
 """Plans for the phases that estimate: hand-eye and localization, and the part's check."""
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -206,19 +207,14 @@ def margin_m(workspace: Workspace) -> float:
 
 
 def _displacements(cell: Cell) -> list[FloatArray]:
-    """Places at the limits of where the part may lie: shifted along each axis, turned about another."""
-    part, axes = cell.part, np.eye(3)
+    """Places at the limits of where the part may lie: shifted along axes and diagonals, and turned."""
+    part = cell.part
+    sides = [np.array(side) / np.linalg.norm(side) for side in product((-1, 0, 1), repeat=3) if any(side)]
+    turns = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
     return [
-        exp_pose(
-            np.concatenate(
-                [shift * part.position_limit_m * axes[i], turn * part.rotation_limit_rad * axes[j]]
-            )
-        )
-        for i in range(3)
-        for j in range(3)
-        if i != j
-        for shift in (-1.0, 1.0)
-        for turn in (-1.0, 1.0)
+        exp_pose(np.concatenate([part.position_limit_m * side, part.rotation_limit_rad * turn]))
+        for side in sides
+        for turn in turns
     ]
 
 

@@ -9,12 +9,13 @@ import numpy as np
 from controller.cellfile import Cell
 from controller.cellfile.lasers import Laser
 from controller.knowledge import all_faces, part_faces
-from controller.planning.poses import BoolArray
+from controller.planning.poses import BoolArray, IntArray
 from estimation.cad import CadFace
 from estimation.errors import EstimationError
 from estimation.transform import FloatArray
 
 _KEY_M: Final = 1e-7  # corners nearer than this are one
+_MOST_PAIRS: Final = 500_000  # of rays and triangles at a time: some 20 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,29 +80,44 @@ class Met:
 
 def beams_meet(cell: Cell, part_o: FloatArray, part_beam: FloatArray, names: list[str]) -> Met:
     """Rays from points (m, 3) along unit vectors (m, 3), in the frame of the part, against all its faces."""
-    named = part_faces(cell)
-    corners, face_index = _mesh(all_faces(cell))
+    named, mesh = part_faces(cell), _mesh(all_faces(cell))
     wanted = np.array([named[name].index for name in names])
-    first, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, two)
-    # Moeller and Trumbore, with the determinant from the normal: rays (m, 1, 3) against triangles (t, 3)
-    offset = part_o[:, None] - first
-    determinant = -part_beam @ normal.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = np.einsum("mtk,tk->mt", offset, normal) / determinant
-        turned = np.cross(offset, part_beam[:, None])
-        u = np.einsum("mtk,tk->mt", turned, two) / determinant
-        v = -np.einsum("mtk,tk->mt", turned, one) / determinant
-        hit = (distance > 0.0) & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
-    distance = np.where(hit, distance, np.inf)
-    nearest = np.argmin(distance, axis=1)
-    rows = np.arange(len(part_o))
-    cosine = np.abs(determinant[rows, nearest]) / np.linalg.norm(normal[nearest], axis=1)
-    return Met(
-        np.isfinite(distance[rows, nearest]) & (face_index[nearest] == wanted),
-        distance[rows, nearest],
-        cosine,
-    )
+    at_once = max(1, _MOST_PAIRS // len(mesh.face_index))
+    met = [
+        mesh.first_met(part_o[start : start + at_once], part_beam[start : start + at_once])
+        for start in range(0, max(len(part_o), 1), at_once)
+    ]
+    face, distance, cosine = (np.concatenate(part) for part in zip(*met, strict=True))
+    return Met(face == wanted, distance, cosine)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mesh:
+    """Triangles (t) for rays, after Moeller and Trumbore by Pluecker's moment: products of matrices only."""
+
+    face_index: IntArray
+    normal: FloatArray  # (t, 3) across, as long as twice the area
+    height: FloatArray  # (t,) of its plane along that
+    one: FloatArray
+    two: FloatArray  # (t, 3) sides from the first corner
+    one_first: FloatArray
+    two_first: FloatArray  # (t, 3) cross products with the first corner
+
+    def first_met(self, origin: FloatArray, beam: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """For rays (m, 3): the face (-1: none), the distance (inf), and the cosine of the incidence."""
+        moment = np.cross(origin, beam)
+        determinant = -beam @ self.normal.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (origin @ self.normal.T - self.height) / determinant
+            u = (moment @ self.two.T - beam @ self.two_first.T) / determinant
+            v = (beam @ self.one_first.T - moment @ self.one.T) / determinant
+            hit = (distance > 0.0) & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+        distance = np.where(hit, distance, np.inf)
+        nearest = np.argmin(distance, axis=1)
+        rows = np.arange(len(origin))
+        reached = distance[rows, nearest]
+        cosine = np.abs(determinant[rows, nearest]) / np.linalg.norm(self.normal[nearest], axis=1)
+        return np.where(np.isfinite(reached), self.face_index[nearest], -1), reached, cosine
 
 
 @lru_cache(maxsize=64)
@@ -119,7 +135,17 @@ def _sampler(name: str, face: CadFace) -> FaceSampler:
 
 
 @lru_cache(maxsize=8)
-def _mesh(faces: tuple[CadFace, ...]) -> tuple[FloatArray, FloatArray]:
-    """Triangles (t, 3, 3) of all faces, and the face index (t,) of each."""
-    indices = np.repeat([face.index for face in faces], [len(face.triangles) for face in faces])
-    return np.concatenate([face.triangles for face in faces]), indices
+def _mesh(faces: tuple[CadFace, ...]) -> _Mesh:
+    """The triangles of all faces."""
+    corners = np.concatenate([face.triangles for face in faces])
+    first, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, two)
+    return _Mesh(
+        face_index=np.repeat([face.index for face in faces], [len(face.triangles) for face in faces]),
+        normal=normal,
+        height=np.einsum("tk,tk->t", first, normal),
+        one=one,
+        two=two,
+        one_first=np.cross(one, first),
+        two_first=np.cross(two, first),
+    )

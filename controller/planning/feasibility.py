@@ -20,7 +20,6 @@ from estimation.solver import predicted_belief
 from estimation.statistics import Outcome
 from estimation.transform import FloatArray
 
-DRAWS: Final = 3000  # on the plate
 PART_DRAWS: Final = 6000  # its faces have places that few beams reach
 _KEPT: Final = 16  # answers, by cell file
 
@@ -133,7 +132,7 @@ def _walk(cell: Cell) -> list[Reachable]:
             prior = with_plate(belief, cell)
             workspace = Workspace(cell, arm, prior)
             points, names = hand_eye_points(prior, spec.gated_ranges_m)
-            pool = plate_candidates(workspace, 0, DRAWS)
+            pool = plate_candidates(workspace, 0)
         elif isinstance(spec, job.LocalizePhase):
             prior = _searched(cell, with_part(belief, cell), arm, spec)
             workspace = Workspace(cell, arm, prior)

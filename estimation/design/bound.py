@@ -53,8 +53,7 @@ def lower_bound(
     for turn in range(rounds):
         white = problem.white_covariance(weights)
         judged = problem.judged(white)
-        weight = criterion.weight(judged, sharpness)
-        values, axes = np.linalg.eigh(weight)
+        values, axes = criterion.weight(judged, sharpness)
         used = values > 1e-12 * values.max()
         factor = (axes.swapaxes(-1, -2) @ (problem.white_targets @ white))[used]
         along = rows @ (factor * np.sqrt(values[used])[:, None]).T
@@ -63,7 +62,8 @@ def lower_bound(
         # Most that a step within the constraints could take off, by the tangent.
         most = np.partition(slope, len(slope) - count)[len(slope) - count :].sum()
         fall = float(most - slope @ weights)
-        held = float(np.einsum("gij,gji->", weight, judged))  # trace(W Z): never above the value
+        along_axes = np.einsum("gij,gji->gi", axes.swapaxes(-1, -2) @ judged, axes)
+        held = float(np.sum(values * along_axes))  # trace(W Z): never above the value
         proven = value * np.exp(-fall) if criterion.logarithmic else held - fall
         if proven > best:
             best = float(proven)

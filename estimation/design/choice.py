@@ -228,8 +228,7 @@ class _State:
     def worth(self, sign: float = 1.0) -> FloatArray:
         """How much each candidate (m,) lowers the criterion when added, or raises it when taken away (-1)."""
         targets = self._problem.white_targets @ self._white
-        weight = self._criterion.weight(self._problem.judged(self._white), SHARPNESS)
-        values, axes = np.linalg.eigh(weight)
+        values, axes = self._criterion.weight(self._problem.judged(self._white), SHARPNESS)
         kept = values > (0.0 if self._criterion.logarithmic else _NEGLIGIBLE) * values.max()
         # Rows of F: judged axes by the white state, as heavy as the criterion weighs them.
         factor = (axes.swapaxes(-1, -2) @ targets)[kept] * np.sqrt(values[kept])[:, None]

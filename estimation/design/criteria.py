@@ -2,7 +2,8 @@
 
 With Z the covariance of the judged quantities, a measurement takes a a^T / (1 + s) off it. To first order a
 criterion falls by a^T W a / (1 + s), where W is its derivative by Z. So W alone drives the greedy choice, the
-exchange and the lower bound; a new criterion is one more (value, weight) pair.
+exchange and the lower bound; a new criterion is one more (value, weight) pair. W is given by its axes, which
+is how it is used.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,6 +14,8 @@ import numpy as np
 
 from estimation.transform import FloatArray
 
+Axes = tuple[FloatArray, FloatArray]
+
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
@@ -21,15 +24,16 @@ class Criterion:
     Attributes
     ----------
     value : of Z (g, k, k), the covariances of g judged quantities; in their unit squared.
-    weight : (Z, sharpness) to W (g, k, k), positive semi-definite. For a logarithmic criterion W is the
-        derivative of the logarithm of the value; otherwise trace(W Z) never exceeds the value.
+    weight : (Z, sharpness) to W (g, k, k), positive semi-definite, as eigenvalues (g, k) and axes, columns
+        of (g, k, k). For a logarithmic criterion W is the derivative of the logarithm of the value; otherwise
+        trace(W Z) never exceeds the value.
     logarithmic : the logarithm of the value is convex in the number of repetitions of each measurement;
         otherwise trace(W Z) is, for W held.
     """
 
     name: str
     value: Callable[[FloatArray], float]
-    weight: Callable[[FloatArray, float], FloatArray]
+    weight: Callable[[FloatArray, float], Axes]
     logarithmic: bool
 
     def efficiency(self, bound: float, value: float) -> float:
@@ -43,8 +47,10 @@ def _determinant(judged: FloatArray) -> float:
     return float(np.exp(logs.sum() / (judged.shape[0] * judged.shape[1])))
 
 
-def _determinant_weight(judged: FloatArray, sharpness: float) -> FloatArray:
-    return np.asarray(np.linalg.inv(judged) / (judged.shape[0] * judged.shape[1]))
+def _determinant_weight(judged: FloatArray, sharpness: float) -> Axes:
+    values, axes = np.linalg.eigh(judged)
+    smallest = max(float(values.max()), 1e-300) * np.finfo(np.float64).eps
+    return 1.0 / (np.maximum(values, smallest) * values.size), axes
 
 
 def _trace(judged: FloatArray) -> float:
@@ -52,9 +58,9 @@ def _trace(judged: FloatArray) -> float:
     return float(np.trace(judged, axis1=1, axis2=2).mean() / judged.shape[1])
 
 
-def _trace_weight(judged: FloatArray, sharpness: float) -> FloatArray:
+def _trace_weight(judged: FloatArray, sharpness: float) -> Axes:
     count, size = judged.shape[:2]
-    return np.broadcast_to(np.eye(size) / (count * size), judged.shape)
+    return np.full((count, size), 1.0 / (count * size)), np.broadcast_to(np.eye(size), judged.shape)
 
 
 def _largest(judged: FloatArray) -> float:
@@ -62,11 +68,11 @@ def _largest(judged: FloatArray) -> float:
     return float(np.linalg.eigvalsh(judged)[:, -1].max())
 
 
-def _largest_weight(judged: FloatArray, sharpness: float) -> FloatArray:
+def _largest_weight(judged: FloatArray, sharpness: float) -> Axes:
     """Nearly the worst axis, but smooth: each axis by its eigenvalue to a power, trace 1."""
     values, axes = np.linalg.eigh(judged)
     shares = (np.maximum(values, 0.0) / max(float(values.max()), 1e-300)) ** sharpness
-    return np.asarray((axes * (shares / shares.sum())[:, None, :]) @ axes.swapaxes(-1, -2))
+    return np.asarray(shares / shares.sum()), axes
 
 
 D: Final = Criterion("D", _determinant, _determinant_weight, logarithmic=True)

@@ -15,9 +15,8 @@ from controller.cellfile import Cell, load_cell
 from controller.cellfile.job import LocalizePhase
 from controller.knowledge import first_belief, with_part, with_plate
 from controller.planning import plan_coarse_localize, plan_hand_eye, plan_localize
-from controller.planning.candidates import PART_DRAWS as PLAN_DRAWS
 from controller.planning.candidates import part_candidates
-from controller.planning.estimated import corner_points, margin_m
+from controller.planning.estimated import COARSE_COUNT, corner_points
 from controller.planning.feasibility import PART_DRAWS, feasibility, limit_mistakes
 from controller.planning.workspace import Candidates, Workspace, rows_of
 from controller.verify.executor import open_executor
@@ -35,23 +34,30 @@ def localize_of(cell: Cell) -> LocalizePhase:
 
 
 def before_localize(cell: Cell) -> Belief:
-    """What hand-eye and coarse points are planned to leave."""
+    """What the hand-eye is planned to leave, and the part as it was clamped by hand."""
     arm, prior = cell.robot.arm_model(), with_plate(first_belief(cell), cell)
-    known = belief_of(plan_hand_eye(cell, prior, arm, 160, 0)).without(["plate"])
-    return belief_of(plan_coarse_localize(cell, with_part(known, cell), arm, localize_of(cell), 0))
+    return with_part(belief_of(plan_hand_eye(cell, prior, arm, 160, 0)).without(["plate"]), cell)
 
 
-def bound_mm(cell: Cell, belief: Belief) -> float:
-    """No choice of all measurements that localize may take has a smaller U."""
-    workspace = Workspace(cell, cell.robot.arm_model(), belief)
-    faces, margin = localize_of(cell).faces, margin_m(workspace)
-    # The beams of the plan and as many as the check draws: a bound holds for the candidates that it knows.
+def searched(cell: Cell, belief: Belief) -> Belief:
+    """What the coarse points are planned to leave."""
+    return belief_of(plan_coarse_localize(cell, belief, cell.robot.arm_model(), localize_of(cell), 0))
+
+
+def bound_mm(cell: Cell, belief: Belief, known: Belief) -> float:
+    """No choice of coarse points and of all measurements that localize may take has a smaller U.
+
+    A bound holds for the beams that it is given: those that the check draws, which may have lucky ones among
+    them, and many more; all as near to edges and ends of the range as a part that is `known` lets them be.
+    """
+    workspace, faces = Workspace(cell, cell.robot.arm_model(), known), localize_of(cell).faces
     pool = Candidates.joined(
-        [part_candidates(workspace, faces, 0, draws, margin) for draws in (PLAN_DRAWS, PART_DRAWS)]
+        [part_candidates(workspace, faces, 0, draws) for draws in (PART_DRAWS, 4 * PART_DRAWS)]
     )
     rows, corners = rows_of(workspace, pool), corner_points(cell, belief)[0]
     problem = DesignProblem(belief.covariance, rows.dense(belief), rows.noise_variance, corners.jacobian)
-    return 1e3 * coverage_factor(3) * float(np.sqrt(lower_bound(problem, MOST).value))
+    bound = lower_bound(problem, MOST + COARSE_COUNT)
+    return 1e3 * coverage_factor(3) * float(np.sqrt(bound.value))
 
 
 def refused(folder: Path, seed: int, limit_mm: float) -> bool:
@@ -62,7 +68,7 @@ def refused(folder: Path, seed: int, limit_mm: float) -> bool:
 @dataclass(frozen=True)
 class Case:
     seed: int
-    bound_mm: float  # no choice of all measurements has a smaller U
+    bound_mm: float  # no choice of all measurements, coarse ones among them, has a smaller U
     best_mm: float  # what the check before motion takes for the best
     reached_mm: float  # by a plan with all measurements
     refused_below: bool  # a limit of 0.95 of the bound
@@ -74,9 +80,9 @@ def case_of(seed: int) -> Case:
         folder = Path(name)
         cell = load_cell(write_cell(folder, seed, 10.0, MOST, MOST, quiet=False))
         belief = before_localize(cell)
-        plan = plan_localize(cell, belief, cell.robot.arm_model(), localize_of(cell), 0)
+        plan = plan_localize(cell, searched(cell, belief), cell.robot.arm_model(), localize_of(cell), 0)
         reached_mm = 1e3 * max(point.U_m for point in plan.gated)
-        bound = bound_mm(cell, belief)
+        bound = bound_mm(cell, belief, belief_of(plan))
         return Case(
             seed,
             bound,

@@ -14,7 +14,7 @@ import pytest
 from controller.cellfile import Cell
 from controller.cellfile.job import HandEyePhase as HandEyeSpec
 from controller.cellfile.job import LocalizePhase as LocalizeSpec
-from controller.knowledge import first_belief, observations
+from controller.knowledge import first_belief, joint_variance, observations
 from controller.phases.base import Finding, PhaseContext, PhaseKind
 from controller.phases.findings import by_phase
 from controller.phases.hand_eye import HandEyePhase
@@ -28,24 +28,26 @@ from controller.samples import Sample
 from estimation.belief import Belief
 from tests.controller.planning.planned import SEED, Planned, belief_of
 
-NOISE_M = 4e-5  # laser and joints together
+READINGS, JOINT_READINGS = 100, 3
 Missed = Callable[[Step, int], bool]
 
 
-def sample_of(step: Step, seen: bool = True) -> Sample:
-    """The noise follows from the number of the step, so that it is the same whenever it is asked for."""
-    noise_m = NOISE_M * np.random.default_rng(int(step.id)).standard_normal()
+def sample_of(cell: Cell, step: Step, seen: bool = True) -> Sample:
+    """Noise as declared; it follows from the number of the step, so that it is always the same."""
+    random = np.random.default_rng(int(step.id))
+    laser_std_m = np.hypot(cell.laser.noise_m, cell.laser.reading_noise_m / np.sqrt(READINGS))
+    joints_rad = random.normal(step.joints_rad, np.sqrt(joint_variance(cell, JOINT_READINGS)))
     return Sample(
         step=step.id,
         kind=step.kind,
         object=step.object,
         feature=step.feature,
-        joints_rad=step.joints_rad,
+        joints_rad=tuple(joints_rad.tolist()),
         joint_scatter_rad=(0.0,) * 6,
-        joint_readings=3,
-        reading_m=step.expected_m + noise_m,
+        joint_readings=JOINT_READINGS,
+        reading_m=random.normal(step.expected_m, laser_std_m),
         reading_scatter_m=0.0,
-        readings=100,
+        readings=READINGS,
         quality="good" if seen else "bad",
         why="" if seen else "nothing in range",
         source_time_s=0.0,
@@ -63,7 +65,7 @@ def walk(
     """As the job walks through a phase."""
     steps = numbered(kind.plan(context))
     while True:
-        samples = [sample_of(step, not missed(step, place)) for place, step in enumerate(steps)]
+        samples = [sample_of(context.cell, step, not missed(step, place)) for place, step in enumerate(steps)]
         further = kind.more(context, steps, samples)
         if not further:
             finding = kind.evaluate(context, steps, samples)
@@ -80,12 +82,18 @@ def U_of(finding: Finding) -> float:
 
 
 @pytest.fixture(scope="module")
-def context(cell: Cell, planned: Planned) -> PhaseContext[LocalizeSpec]:
+def exact(cell: Cell) -> Cell:
+    """The example cell without tests of chance: one that is just as believed has too small residuals."""
+    return cell.model_copy(update={"job": cell.job.model_copy(update={"false_alarms": 1e-15})})
+
+
+@pytest.fixture(scope="module")
+def context(exact: Cell, planned: Planned) -> PhaseContext[LocalizeSpec]:
     """Localization of the example cell with six points planned, and a limit that needs a few more."""
-    spec = next(phase for phase in cell.job.phases if isinstance(phase, LocalizeSpec))
+    spec = next(phase for phase in exact.job.phases if isinstance(phase, LocalizeSpec))
     spec = spec.model_copy(update={"measurements": 6, "limit_m": 0.24e-3})
     known = belief_of(planned.plans["hand-eye"]).without(["plate"])
-    return PhaseContext(cell, spec, planned.arm, known, seed=SEED)
+    return PhaseContext(exact, spec, planned.arm, known, seed=SEED)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +106,7 @@ def test_no_more_is_measured_than_the_limit_with_its_margin_needs(
 ) -> None:
     steps, samples, finding = walked
     added = [step for step in steps if step.note == ADDED_NOTE]
-    assert finding.verdict.passed
+    assert finding.verdict.passed, finding.verdict.message
     assert 3 <= len(added) < 24  # than the thirty of the example
     assert U_of(finding) <= context.spec.limit_m * (1.0 - MARGIN) * 1.01
     before = LocalizePhase().evaluate(context, steps[:-1], samples[:-1])
@@ -166,8 +174,8 @@ def test_each_step_is_among_the_best_that_could_be_taken(
         )
         for other in others
     ]
-    U_m = [prospect.U_m(observations(context.cell, [sample_of(trial)])) for trial in trials]
-    chosen = prospect.U_m(observations(context.cell, [sample_of(step)]))
+    U_m = [prospect.U_m(observations(context.cell, [sample_of(context.cell, trial)])) for trial in trials]
+    chosen = prospect.U_m(observations(context.cell, [sample_of(context.cell, step)]))
     assert np.mean(np.array(U_m) < chosen) <= 0.1
 
 
@@ -193,13 +201,13 @@ def test_all_noise_of_a_phase_counts_as_one_contribution() -> None:
     assert by_phase({"laser scale": 0.6, "part form": 0.4}) == ("laser scale", 0.6)
 
 
-def test_a_hand_eye_goes_on_in_the_same_way(cell: Cell, planned: Planned) -> None:
-    spec = next(phase for phase in cell.job.phases if isinstance(phase, HandEyeSpec))
+def test_a_hand_eye_goes_on_in_the_same_way(exact: Cell, planned: Planned) -> None:
+    spec = next(phase for phase in exact.job.phases if isinstance(phase, HandEyeSpec))
     spec = spec.model_copy(update={"measurements": 9, "limit_m": 0.40e-3})
-    context = PhaseContext(cell, spec, planned.arm, first_belief(cell), seed=SEED)
+    context = PhaseContext(exact, spec, planned.arm, first_belief(exact), seed=SEED)
     steps, _, finding = walk(HandEyePhase(), context)
-    assert finding.verdict.passed
+    assert finding.verdict.passed, finding.verdict.message
     assert 15 < len(steps) < 40  # of the eighty of the example
-    best: Belief = belief_of(plan_hand_eye(cell, planned.plate_prior, planned.arm, len(steps), SEED))
+    best: Belief = belief_of(plan_hand_eye(exact, planned.plate_prior, planned.arm, len(steps), SEED))
     chosen_at_once = max(float(p["U_m"]) for p in HandEyePhase.gated(context, best))
     assert U_of(finding) < 1.15 * chosen_at_once  # one by one is hardly worse than all at once
