@@ -3,16 +3,18 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from controller.cellfile import Cell
 from controller.knowledge import first_belief
+from controller.own_pose import require_same_pose
 from controller.planning.paths import accesses
 from controller.planning.steps import Joints, Step, route
 from controller.planning.workspace import Workspace
 from controller.samples import Sample
-from drivers.capabilities import Contact, Devices, JointReadings, Quality, RangeReadings
+from drivers.capabilities import Contact, Devices, JointReadings, PoseReporter, Quality, RangeReadings
 from drivers.clock import Clock
 from estimation.errors import DeviceError
 from estimation.kinematics import ArmModel
@@ -80,6 +82,8 @@ class Acquisition:
         laser.begin_window()
         joints = self._devices.robot.read_joints(step.readings or self._cell.robot.readings)
         ranges = laser.end_window(MINIMUM_CYCLES)
+        if step.kind == "noise":
+            self._compare_pose(joints)
         sample = self._sample(step, joints)
         why = self._doubt(ranges)
         if why:
@@ -90,6 +94,12 @@ class Acquisition:
             reading_scatter_m=float(np.std(ranges.distance_m, ddof=1)),
             readings=len(ranges.distance_m),
         )
+
+    def _compare_pose(self, joints: JointReadings) -> None:
+        """At rest: a robot that tells its pose must be where its joints are."""
+        robot = self._devices.robot
+        if robot.abilities.reports_pose:
+            require_same_pose(self._cell, self._arm, joints, cast(PoseReporter, robot).read_pose())
 
     def _doubt(self, ranges: RangeReadings) -> str:
         """Why the window is no measurement, or "" if it is one."""

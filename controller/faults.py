@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from controller.gates import Verdict
+from controller.own_pose import PoseMismatch
 from estimation.errors import CellError, DeviceError, DeviceTimeout, IdentityMismatch, StoreError
 
 
@@ -40,7 +41,7 @@ class Fault:
 
 
 def fault_code(error: BaseException) -> str:
-    """The catalogue's code for an error (letters: L links, D devices, E estimator, S store, H host)."""
+    """The code of the catalogue (letters: L links, R robot, D devices, E estimator, S store, H host)."""
     match error:
         case GateHeld():
             return "E11" if "check" in error.phase else "G"
@@ -50,6 +51,8 @@ def fault_code(error: BaseException) -> str:
             return "D5"
         case DeviceTimeout():
             return "L4"
+        case PoseMismatch():
+            return "R7"
         case DeviceError():
             return "D"
         case StoreError():
