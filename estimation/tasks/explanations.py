@@ -1,11 +1,10 @@
 """Which common mistake explains data that do not fit: undone, their residuals are what was declared."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from estimation.belief import Value
 from estimation.errors import EstimationError
 from estimation.fitting import row_variance
 from estimation.model import values_of
@@ -14,26 +13,23 @@ from estimation.tasks.findings import Finding
 if TYPE_CHECKING:
     from estimation.tasks.solve import Problem
 
-_BETTER: Final = np.log(1.5)  # that an explanation must be less surprising, to be looked at
 _MOST: Final = 3  # explanations that are estimated in full, and the best of each other cause
 _MEDIAN_SQUARE: Final = 0.455  # of a standard normal variable
 
 
-def explained(
-    problem: "Problem", starts: Sequence[Mapping[str, Value]], holds: Callable[["Problem"], bool]
-) -> Finding | None:
+def explained(problem: "Problem", holds: Callable[["Problem"], bool]) -> Finding | None:
     """The mistake that, undone, makes the data hold; None if there is none.
 
-    All mistakes that the problem knows of are compared at their starts, which is cheap. Of those that are
-    less surprising than the problem itself, the least surprising and one of each cause are tried in full.
+    All mistakes that the problem knows of are compared at their starts, which is cheap. The least surprising
+    and one of each other cause are tried in full; that they hold is the proof. A start says little more: two
+    markers of many that were exchanged leave the median as it is.
     """
-    surprise, found = _surprise_at(problem, starts), []
-    for finding, other in problem.explanations():
-        if not any(each.refuses for each in other.check()):
-            undone = _surprise(other)
-            if undone < surprise - _BETTER:
-                found.append((undone, finding, other))
-    found.sort(key=lambda each: each[0])
+    found = [
+        (_surprise(other), finding, other)
+        for finding, other in problem.explanations()
+        if not any(each.refuses for each in other.check())
+    ]
+    found = sorted((each for each in found if np.isfinite(each[0])), key=lambda each: each[0])
     tried = found[:_MOST]  # a scale that shrinks the data shrinks their residuals, and would push others out
     for each in found[_MOST:]:
         if all(each[1].cause is not other[1].cause for other in tried):
@@ -41,25 +37,19 @@ def explained(
     return next((finding for _, finding, other in tried if holds(other)), None)
 
 
-def _surprise_at(problem: "Problem", starts: Sequence[Mapping[str, Value]]) -> float:
+def _surprise(problem: "Problem") -> float:
     """How far residuals are from the declared noise at the most promising start; infinite without one.
 
     |ln| of the median of their squares over what it is for honest ones: a median, so that a few outliers do
     not hide that all others fit, and both ways, because data that are taken for too small always fit.
     """
-    if not starts:
-        return np.inf
     try:
+        starts = problem.starts()
+        if not starts:
+            return np.inf
         values = {**values_of(problem.rough()), **starts[0]}
         rows = problem.model().weighed_at(values).rows(values)
     except EstimationError:
         return np.inf
     median = float(np.median(rows.residual_m**2 / row_variance(rows)))
     return float(abs(np.log(median / _MEDIAN_SQUARE))) if np.isfinite(median) and median > 0.0 else np.inf
-
-
-def _surprise(problem: "Problem") -> float:
-    try:
-        return _surprise_at(problem, problem.starts())
-    except EstimationError:
-        return np.inf

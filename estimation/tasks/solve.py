@@ -6,11 +6,18 @@ from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from estimation.belief import Belief, Value
 from estimation.chart import Chart
 from estimation.errors import ContradictingData, DegenerateGeometry, EstimationError
-from estimation.fitting import cauchy_cost, reweighted, robust_start
+from estimation.fitting import (
+    LARGEST_REJECTED_SHARE,
+    cauchy_cost,
+    reweighted,
+    robust_start,
+    row_variance,
+)
 from estimation.model import Model, values_of
 from estimation.observability import RankReport
 from estimation.solver import Update, update
@@ -180,7 +187,7 @@ def solve(problem: Problem, explain: bool = True) -> Result:
         return refused(problem.task, sight, error)
     result = _estimated(problem, sight, starts)
     if explain and result.status is not Status.OK and _misfits(result):
-        mistake = explained(problem, starts, _holds)
+        mistake = explained(problem, _holds)
         if mistake is not None:
             return refused(problem.task, (*sight, mistake))
     return result
@@ -216,6 +223,9 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...], starts: Sequence[Ma
     try:
         found = estimated(start, model, problem.consider)
     except DegenerateGeometry as error:
+        share = _contradicting(start, model)
+        if share > LARGEST_REJECTED_SHARE:  # they drove it to where nothing is determined
+            return refused(problem.task, sight, _contradictory(share))
         seen = tuple(problem.diagnose(values_of(start), None))
         return refused(problem.task, (*sight, *seen), error)
     except EstimationError as error:
@@ -233,6 +243,22 @@ def _estimated(problem: Problem, sight: tuple[Finding, ...], starts: Sequence[Ma
             ambiguity = Ambiguity(ratio, other.values)
             break
     return judged(problem.task, found, belief, findings, problem.rough().names, ambiguity)
+
+
+def _contradicting(belief: Belief, model: Model) -> float:
+    """Share of the rows whose residuals at the values of the belief honest noise does not reach."""
+    values = values_of(belief)
+    rows = model.weighed_at(values).rows(values)
+    limit = chdtri(1, OUTLIER_LEVEL / len(rows.residual_m))
+    return float(np.mean(rows.residual_m**2 > limit * row_variance(rows)))
+
+
+def _contradictory(share: float) -> ContradictingData:
+    return ContradictingData(
+        f"{share:.0%} of the rows contradict the best solution that was found, limit "
+        f"{LARGEST_REJECTED_SHARE:.0%}",
+        "Look for a moved object, a wrong feature or a loose sensor, then measure again",
+    )
 
 
 def estimated(start: Belief, model: Model, consider: Sequence[str]) -> Update:

@@ -104,10 +104,13 @@ def table(rows: Iterable[tuple[str, Sequence[Draw]]]) -> list[str]:
 def main() -> None:
     """Run what is named on the command line, all kinds by default."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("kinds", nargs="*", default=[])
+    names = [kind.cause.name for kind in KINDS]
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(names)}, or sound")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     given = parser.parse_args()
+    if unknown := set(given.kinds) - {*names, "sound"}:
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(names)}, sound")
     for kind in KINDS:
         if not given.kinds or kind.cause.name in given.kinds:
             draws = hostile(kind, given.draws, given.first)
