@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from estimation.tasks.solve import solve
-from estimation.tasks.two_robots import TwoRobots, join
 from tests.estimation.tasks.cells import CELLS
 from tests.estimation.tasks.pair_cells import PAIR_CELLS
 from tests.estimation.tasks.test_tasks import normalised_error
@@ -21,7 +20,7 @@ def test_start_test_of_every_task(name: str) -> None:
     right = silent = 0
     for seed in range(DRAWS):
         cell = TASKS[name](np.random.default_rng([7, seed]))
-        result = join(cell.problem) if isinstance(cell.problem, TwoRobots) else solve(cell.problem)
+        result = solve(cell.problem)
         if result.estimate is None:
             continue
         error, freedoms = normalised_error(result, cell.truth)
