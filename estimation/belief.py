@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -38,7 +38,7 @@ class Block:
     def active(self) -> NDArray[np.intp]:
         """Places of the freedoms in the full perturbation (6,) of a pose, or in the vector."""
         if isinstance(self.value, Transform):
-            return np.array([POSE_FREEDOMS.index(name) for name in self.freedoms], dtype=np.intp)
+            return _places_in_pose(self.freedoms)
         return np.arange(len(self.freedoms), dtype=np.intp)
 
 
@@ -320,6 +320,13 @@ class Belief:
                 "Run the phase that adds it first",
             )
         return self._places[name]
+
+
+@cache
+def _places_in_pose(freedoms: tuple[str, ...]) -> NDArray[np.intp]:
+    places = np.array([POSE_FREEDOMS.index(name) for name in freedoms], dtype=np.intp)
+    places.flags.writeable = False
+    return places
 
 
 def unit_of(label: str) -> str:

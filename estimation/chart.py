@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from copy import copy
-from typing import Final
 
 import numpy as np
 
@@ -11,8 +10,6 @@ from estimation.belief import Belief, Value
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.model import Model, Rows
 from estimation.transform import FloatArray, Transform
-
-_EYE: Final = np.eye(3)
 
 Point = tuple[FloatArray, Rows, FloatArray]  # z, rows there, Jacobian (m, n) by z
 
@@ -128,6 +125,18 @@ def rotation_and_right_jacobian(rotation_rad: FloatArray) -> tuple[FloatArray, F
     else:
         first, second = math.sin(angle) / angle, (1 - math.cos(angle)) / angle2
         third = (angle - math.sin(angle)) / (angle2 * angle)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    squared = cross @ cross
-    return _EYE + first * cross + second * squared, _EYE - second * cross + third * squared
+    return _turning(x, y, z, first, second, angle2), _turning(x, y, z, -second, third, angle2)
+
+
+def _turning(x: float, y: float, z: float, odd: float, even: float, angle2: float) -> FloatArray:
+    """I + odd [phi]x + even [phi]x^2 (3, 3), written out: as products of arrays it takes three times as long."""
+    own = 1.0 - even * angle2
+    xy, xz, yz = even * x * y, even * x * z, even * y * z
+    ox, oy, oz = odd * x, odd * y, odd * z
+    return np.array(
+        [
+            [own + even * x * x, xy - oz, xz + oy],
+            [xy + oz, own + even * y * y, yz - ox],
+            [xz - oy, yz + ox, own + even * z * z],
+        ]
+    )

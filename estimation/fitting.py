@@ -56,12 +56,13 @@ def _solve(
     """
     z, rows, jacobian = start
     prior = chart.prior_rows
+    prior_normal = np.diag(prior)
     residual = weight * rows.residual_m
     cost = float(residual @ residual + z @ (prior * z))
     costs, damping, growth, last_step, polished = [cost], 0.0, 2.0, np.inf, 0
     for _ in range(_LARGEST_ITERATIONS):
         whitened = weight[:, None] * jacobian
-        normal = whitened.T @ whitened + np.diag(prior)
+        normal = whitened.T @ whitened + prior_normal
         gradient = whitened.T @ residual + prior * z
         newton = solved(normal, -gradient)
         # Never below zero but for rounding, along freedoms that are next to open.
@@ -76,8 +77,10 @@ def _solve(
         at_floor = expected <= rounding
         polished += at_floor
         while True:
-            scaled = normal + damping * np.diag(np.diag(normal))
-            step = newton if damping == 0.0 or at_floor else solved(scaled, -gradient)
+            if damping == 0.0 or at_floor:
+                step = newton
+            else:
+                step = solved(normal + damping * np.diag(np.diag(normal)), -gradient)
             trial = z + step
             _, trial_rows, trial_jacobian = chart.evaluate(trial)
             trial_residual = weight * trial_rows.residual_m
@@ -104,9 +107,14 @@ def _solve(
     return (z, rows, jacobian), tuple(costs), unsettled, False
 
 
-def reweighted(chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: float) -> Fit:
-    """Passes with noise variance and whitening taken at the estimate, until they stand still."""
-    chart, point = _weighed(chart, z)
+def reweighted(
+    chart: Chart, z: FloatArray, used: NDArray[np.bool_], tolerance: float, known: Point | None = None
+) -> Fit:
+    """Passes with noise variance and whitening taken at the estimate, until they stand still.
+
+    `known` is the point at z when its rows are there already.
+    """
+    chart, point = _weighed(chart, z, known)
     variance = row_variance(point[1])
     costs: list[tuple[float, ...]] = []
     for number in range(_REWEIGHTINGS):

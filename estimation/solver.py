@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from estimation.belief import Belief
-from estimation.chart import Chart, prior_rows, solved, square_root
+from estimation.chart import Chart, Point, prior_rows, solved, square_root
 from estimation.errors import EstimationError
 from estimation.fitting import SMALLEST_VARIANCE, Fit, Robust, gated, reweighted, robust_start, row_variance
 from estimation.model import Model, evaluate
@@ -149,11 +149,13 @@ def update(
         raise EstimationError("No observations", "Measure before estimating")
     chart = Chart(belief, model, consider)
     z = np.zeros(belief.size)
-    require_determined(belief, *information_rows(belief, model))
+    start: Point | None = chart.evaluate(z)
+    rows = start[1]
+    require_determined(belief, rows.dense(belief), rows.noise_variance)
     if robust != "none":
-        z = robust_start(chart, z, robust)
+        z, start = robust_start(chart, z, robust), None
     if reject_level is None:
-        fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance)
+        fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance, start)
         fit.require_converged()
     else:
         fit = gated(chart, z, robust, reject_level, tolerance)
