@@ -129,7 +129,7 @@ def rotation_and_right_jacobian(rotation_rad: FloatArray) -> tuple[FloatArray, F
 
 
 def _turning(x: float, y: float, z: float, odd: float, even: float, angle2: float) -> FloatArray:
-    """I + odd [phi]x + even [phi]x^2 (3, 3), written out: as products of arrays it takes three times as long."""
+    """I + odd [phi]x + even [phi]x^2 (3, 3), written out: products of arrays take three times as long."""
     own = 1.0 - even * angle2
     xy, xz, yz = even * x * y, even * x * z, even * y * z
     ox, oy, oz = odd * x, odd * y, odd * z

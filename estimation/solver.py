@@ -149,13 +149,13 @@ def update(
         raise EstimationError("No observations", "Measure before estimating")
     chart = Chart(belief, model, consider)
     z = np.zeros(belief.size)
-    start: Point | None = chart.evaluate(z)
-    rows = start[1]
-    require_determined(belief, rows.dense(belief), rows.noise_variance)
+    first = chart.evaluate(z)
+    known: Point | None = first
+    require_determined(belief, first[1].dense(belief), first[1].noise_variance)
     if robust != "none":
-        z, start = robust_start(chart, z, robust), None
+        z, known = robust_start(chart, z, robust), None
     if reject_level is None:
-        fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance, start)
+        fit = reweighted(chart, z, np.ones(len(model), dtype=np.bool_), tolerance, known)
         fit.require_converged()
     else:
         fit = gated(chart, z, robust, reject_level, tolerance)
