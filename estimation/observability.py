@@ -92,14 +92,16 @@ def rank_report(
     )
 
 
-def require_determined(belief: Belief, jacobian: FloatArray, variance: FloatArray) -> None:
+def require_determined(
+    belief: Belief, jacobian: FloatArray, variance: FloatArray, tolerance: float = RANK_TOLERANCE
+) -> None:
     """Raise DegenerateGeometry, with the directions in words, unless the data determine the flat freedoms.
 
     jacobian (m, n) by the state of the belief and variance (m,), m^2, as in `rank_report`.
     """
     columns = np.flatnonzero(belief.flat)
     if len(columns):
-        rank, singular, null, scale = null_space(belief, jacobian, variance, columns, RANK_TOLERANCE)
+        rank, singular, null, scale = null_space(belief, jacobian, variance, columns, tolerance)
         missing = _directions(belief, columns, null, scale, False)
         RankReport(rank, len(columns), singular, missing, ()).require()
 

@@ -12,7 +12,7 @@ from estimation.chart import Chart, Point, prior_rows, solved, square_root
 from estimation.errors import EstimationError
 from estimation.fitting import SMALLEST_VARIANCE, Fit, Robust, gated, reweighted, robust_start, row_variance
 from estimation.model import Model, evaluate
-from estimation.observability import RankReport, rank_report, require_determined
+from estimation.observability import RANK_TOLERANCE, RankReport, rank_report, require_determined
 from estimation.statistics import ChiSquareTest, chi_square_two_sided
 from estimation.transform import FloatArray
 
@@ -113,6 +113,7 @@ def update(
     robust: Robust = "none",
     reject_level: float | None = None,
     tolerance: float = 1e-7,
+    rank_tolerance: float = RANK_TOLERANCE,
 ) -> Update:
     """MAP estimate of all blocks from the belief as prior and the rows of the model.
 
@@ -130,6 +131,7 @@ def update(
     reject_level : probability that an honest batch loses a row to the outlier gate; None for no gate,
         so that every row counts in full.
     tolerance : largest last step and gradient, in posterior standard deviations.
+    rank_tolerance : smallest over largest singular value that counts as information.
 
     Raises
     ------
@@ -151,7 +153,7 @@ def update(
     z = np.zeros(belief.size)
     first = chart.evaluate(z)
     known: Point | None = first
-    require_determined(belief, first[1].dense(belief), first[1].noise_variance)
+    require_determined(belief, first[1].dense(belief), first[1].noise_variance, rank_tolerance)
     if robust != "none":
         z, known = robust_start(chart, z, robust), None
     if reject_level is None:
@@ -159,7 +161,7 @@ def update(
         fit.require_converged()
     else:
         fit = gated(chart, z, robust, reject_level, tolerance)
-    return _result(chart, fit, targets, phase)
+    return _result(chart, fit, targets, phase, rank_tolerance)
 
 
 def predict(belief: Belief, model: Model) -> Prediction:
@@ -189,7 +191,7 @@ def predicted_belief(belief: Belief, model: Model, phase: str = "") -> Belief:
     return belief.replaced({}, _posterior(belief, gain, np.eye(belief.size), dense, rows.noise, phase))
 
 
-def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str) -> Update:
+def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tolerance: float) -> Update:
     belief, rows, used = chart.belief, fit.rows, fit.used
     values, poses = chart.at(fit.z)
     to_body = np.eye(belief.size)  # B^-1
@@ -198,7 +200,7 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str) -> Updat
         to_body[place, place] = inverse[belief.block(name).active]
     at_posterior = belief.replaced(values, belief.contributions)
     dense, variance = rows.dense(at_posterior), row_variance(rows)
-    require_determined(belief, dense[used], variance[used])
+    require_determined(belief, dense[used], variance[used], rank_tolerance)
     noise = {source: each[used] for source, each in rows.noise.items()}
     gain = _gain(to_body @ chart.root, chart.prior_rows, dense[used], noise)
     posterior = belief.replaced(values, _posterior(belief, gain, to_body, dense[used], noise, phase))
@@ -222,7 +224,9 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str) -> Updat
         standardised=standardised,
         leverage=leverage,
         rejected=~used,
-        rank=rank_report(belief, posterior, dense[used], variance[used], named) if named else None,
+        rank=rank_report(belief, posterior, dense[used], variance[used], named, rank_tolerance)
+        if named
+        else None,
         iterations=sum(len(course) - 1 for course in fit.costs),
         initial_cost=fit.costs[0][0],
         final_cost=final,

@@ -108,12 +108,13 @@ def search_surface(shape: Shape, base_p: FloatArray, count: int = 6) -> tuple[Fl
     few = np.ascontiguousarray(base_p[np.random.default_rng(0).permutation(len(base_p))[:_ALIGNED]])
     weight = np.full(len(few), 1.0 / (_SAME * field.size_m))
     reached = np.stack([descent(shape, few, weight, poses[place], tolerance=1e-5).pose for place in left])
-    square = np.array([_mean_square(shape, few, pose) for pose in reached])
+    square = np.array([mean_square(shape, few, pose) for pose in reached])
     best = distinct(reached, square, _SAME * field.size_m, field.size_m, count)
     return reached[best], square[best]
 
 
-def _mean_square(shape: Shape, base_p: FloatArray, pose: FloatArray) -> float:
+def mean_square(shape: Shape, base_p: FloatArray, pose: FloatArray) -> float:
+    """Mean square distance, m^2, of points (m, 3) from a surface, its edges included."""
     object_p = (base_p - pose[:3, 3]) @ pose[:3, :3]
     away = object_p - shape.nearest(object_p).foot_m
     return float(np.mean(np.einsum("mi,mi->m", away, away)))

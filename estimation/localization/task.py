@@ -12,7 +12,7 @@ from estimation.errors import EstimationError
 from estimation.localization.alignment import descent
 from estimation.localization.feature_search import search_features
 from estimation.localization.points import SharedError, SurfacePoints
-from estimation.localization.surface_search import search_surface
+from estimation.localization.surface_search import mean_square, search_surface
 from estimation.surfaces import Feature, feature_table, signed_distance
 from estimation.surfaces.feature import freeform
 from estimation.surfaces.shape import Shape
@@ -23,6 +23,11 @@ from estimation.transform import FloatArray, Transform
 
 _SEEN: Final = 0.9  # share of the points that a pose must show to the sensor: noise turns a few at an edge
 _POSE_FREEDOMS: Final = 6
+# Nothing but the shape of the surface tells of it: settling errors of an arm, for which other tasks have a
+# larger one, cannot look like it.
+_RANK_TOLERANCE: Final = 1e-4
+_SETTLING: Final = 20_000  # points with which two poses are told apart
+_SETTLED: Final = 1e-2  # standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -165,7 +170,9 @@ def _search(problem: Localization) -> tuple[FloatArray, FloatArray]:
     """Distinct poses (k, 4, 4), best first, and their mean square distances (k,)."""
     features, index = problem.features, problem.places
     if len(features) == 1 and features[0].shape is not None:
-        poses, square = search_surface(features[0].shape, problem.base_p)
+        poses, square = _settled(
+            problem, features[0].shape, search_surface(features[0].shape, problem.base_p)[0]
+        )
     else:
         poses, square = search_features(features, index, problem.base_p)
     if problem.toward_sensor is None:
@@ -178,19 +185,46 @@ def _search(problem: Localization) -> tuple[FloatArray, FloatArray]:
     return poses[seen], square[seen]
 
 
+def _settled(problem: Localization, shape: Shape, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the points roll to from each pose of the search, best first, and the mean squares there.
+
+    The search takes few points and few steps: along a direction that they hardly determine, it leaves several
+    poses on the way to one minimum.
+    """
+    order = np.random.default_rng(0).permutation(len(problem.base_p))[:_SETTLING]
+    points = np.ascontiguousarray(problem.base_p[order])
+    weight = 1.0 / _std(problem)[order]
+    reached = np.stack([descent(shape, points, weight, pose, tolerance=_SETTLED).pose for pose in poses])
+    square = np.array([mean_square(shape, points, pose) for pose in reached])
+    best = np.argsort(square, kind="stable")
+    return reached[best], square[best]
+
+
+def _settled_count(problem: Localization) -> int:
+    """Points with which the poses were told apart to the last; none where features are named."""
+    return 0 if isinstance(problem.surface, tuple) else min(len(problem.base_p), _SETTLING)
+
+
+def _std(problem: Localization) -> FloatArray:
+    """Standard deviation (m,) of each point along an axis, the mean over all of them."""
+    covariance = np.broadcast_to(problem.covariance, (len(problem.base_p), 3, 3))
+    return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0))
+
+
 def _estimated(
     problem: Localization, sight: Sequence[Finding], poses: FloatArray, square: FloatArray
 ) -> Result:
     belief, name = problem.belief(), problem.frames[1]
     starts: list[dict[str, Transform]] = [{name: Transform(*problem.frames, pose)} for pose in poses]
     best = {name: _exact(problem, starts[0][name])}
-    found = estimated(belief.started(best), problem.model(), problem.consider)
+    found = estimated(belief.started(best), problem.model(), problem.consider, _RANK_TOLERANCE)
     variance = float(np.trace(problem.covariance, axis1=-2, axis2=-1).mean() / 3.0)
     ratios = (square + variance) / (square[0] + variance)
+    gaps = _settled_count(problem) * (square - square[0]) / variance
     ambiguity = None
-    for start, ratio in zip(starts[1:], ratios[1:], strict=True):
+    for start, ratio, gap in zip(starts[1:], ratios[1:], gaps[1:], strict=True):
         if apart(found.belief, {name: found.belief.transform(name)}, start):
-            ambiguity = Ambiguity(float(ratio), start)
+            ambiguity = Ambiguity(float(ratio), start, float(gap))
             break
     return judged(problem.task, found, belief, sight, found.belief.names, ambiguity)
 
@@ -200,9 +234,6 @@ def _exact(problem: Localization, start: Transform) -> Transform:
     features = problem.features
     if len(features) > 1 or features[0].shape is None:
         return start
-    std = np.sqrt(
-        np.trace(np.broadcast_to(problem.covariance, (len(problem.base_p), 3, 3)), axis1=1, axis2=2) / 3
-    )
     points = np.ascontiguousarray(problem.base_p)
-    pose = descent(features[0].shape, points, 1.0 / std, start.matrix).pose
+    pose = descent(features[0].shape, points, 1.0 / _std(problem), start.matrix).pose
     return Transform(start.target, start.source, pose)

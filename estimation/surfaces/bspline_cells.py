@@ -148,7 +148,36 @@ class Cells:
         normal = np.cross(jets[:, 1], jets[:, 2])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         foot = jets[:, 0]
-        return Nearest(foot, normal, np.einsum("mi,mi->m", points - foot, normal), beyond, place)
+        distance = np.einsum("mi,mi->m", points - foot, normal)
+        if beyond.any():
+            normal[beyond] += self._turning(points[beyond] - foot[beyond], place[beyond], jets[beyond])
+        return Nearest(foot, normal, distance, beyond, place)
+
+    def _turning(self, away: FloatArray, place: FloatArray, jets: FloatArray) -> FloatArray:
+        """What the gradient (m, 3) is besides the normal, for points `away` (m, 3) from feet on an edge.
+
+        As the foot slides along its edge, the tangent plane turns under a point that is aside of it.
+        """
+        on_u, on_v = (
+            (not closed) & ((at <= breaks[0]) | (at >= breaks[-1]))
+            for at, breaks, closed in (
+                (place[:, 0], self.breaks_u, self.closed_u),
+                (place[:, 1], self.breaks_v, self.closed_v),
+            )
+        )
+        _, su, sv, suu, suv, svv = jets.swapaxes(0, 1)
+        across = np.cross(su, sv)
+        length = np.linalg.norm(across, axis=1)
+        height = np.einsum("mi,mi->m", away, across) / length**2
+        turning = np.zeros_like(away)
+        for slides, along, bend, change in (
+            (on_v & ~on_u, su, suu, np.cross(suu, sv) + np.cross(su, suv)),
+            (on_u & ~on_v, sv, svv, np.cross(suv, sv) + np.cross(su, svv)),
+        ):
+            turn = np.einsum("mi,mi->m", away - height[:, None] * across, change) / length
+            stretch = np.einsum("mi,mi->m", along, along) - np.einsum("mi,mi->m", away, bend)
+            turning += np.where(slides, turn / stretch, 0.0)[:, None] * along
+        return turning
 
     def sums(
         self,

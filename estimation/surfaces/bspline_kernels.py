@@ -157,6 +157,34 @@ def _normal(jet: FloatArray) -> tuple[float, float, float]:
     return nx / length, ny / length, nz / length
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _turning(
+    x: float, y: float, z: float, jet: FloatArray, normal: tuple[float, float, float], along: int
+) -> float:
+    """How much of the derivative `along` (1: u, 2: v) the gradient has, at a foot that slides in it."""
+    rx, ry, rz = x - jet[0, 0], y - jet[0, 1], z - jet[0, 2]
+    nx, ny, nz = normal
+    height = rx * nx + ry * ny + rz * nz
+    ax, ay, az = rx - height * nx, ry - height * ny, rz - height * nz
+    # The change of u x v along the edge: uu x v + u x uv, or uv x v + u x vv.
+    p, q, bend = (3, 4, 3) if along == 1 else (4, 5, 5)
+    cx = jet[p, 1] * jet[2, 2] - jet[p, 2] * jet[2, 1] + jet[1, 1] * jet[q, 2] - jet[1, 2] * jet[q, 1]
+    cy = jet[p, 2] * jet[2, 0] - jet[p, 0] * jet[2, 2] + jet[1, 2] * jet[q, 0] - jet[1, 0] * jet[q, 2]
+    cz = jet[p, 0] * jet[2, 1] - jet[p, 1] * jet[2, 0] + jet[1, 0] * jet[q, 1] - jet[1, 1] * jet[q, 0]
+    lx = jet[1, 1] * jet[2, 2] - jet[1, 2] * jet[2, 1]
+    ly = jet[1, 2] * jet[2, 0] - jet[1, 0] * jet[2, 2]
+    lz = jet[1, 0] * jet[2, 1] - jet[1, 1] * jet[2, 0]
+    turn = (ax * cx + ay * cy + az * cz) / math.sqrt(lx * lx + ly * ly + lz * lz)
+    stretch = jet[along, 0] ** 2 + jet[along, 1] ** 2 + jet[along, 2] ** 2
+    stretch -= rx * jet[bend, 0] + ry * jet[bend, 1] + rz * jet[bend, 2]
+    return float(turn / stretch)
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _on_edge(value: float, breaks: FloatArray, closed: bool) -> bool:
+    return not closed and (value <= breaks[0] or value >= breaks[-1])
+
+
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def feet(
     points: FloatArray,
@@ -213,7 +241,7 @@ def normal_equations(
             x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
             y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
             z = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
-            place[i, 0], place[i, 1], _ = _foot(
+            place[i, 0], place[i, 1], beyond = _foot(
                 x,
                 y,
                 z,
@@ -229,5 +257,14 @@ def normal_equations(
             )
             nx, ny, nz = _normal(jet)
             distance = (x - jet[0, 0]) * nx + (y - jet[0, 1]) * ny + (z - jet[0, 2]) * nz
+            if beyond:  # as the foot slides along its edge, the tangent plane turns under the point
+                on_u = _on_edge(place[i, 0], breaks_u, closed_u)
+                on_v = _on_edge(place[i, 1], breaks_v, closed_v)
+                if on_u != on_v:
+                    along = 2 if on_u else 1
+                    part = _turning(x, y, z, jet, (nx, ny, nz), along)
+                    nx += part * jet[along, 0]
+                    ny += part * jet[along, 1]
+                    nz += part * jet[along, 2]
             add_point(own, row, weight[i], huber, distance, x, y, z, nx, ny, nz)
         sums[chunk] = own

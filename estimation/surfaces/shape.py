@@ -24,7 +24,8 @@ class Nearest:
     Attributes
     ----------
     foot_m : (m, 3) nearest points of the surface.
-    normal : (m, 3) unit gradient of the distance, out of the material.
+    normal : (m, 3) gradient of the distance, out of the material: the unit normal, and `beyond` a curved edge
+        what the tangent plane turns as the foot slides along.
     distance_m : (m,) signed, positive outside the material; where `beyond`, height over the tangent plane
         at the edge, because a surface says nothing of what lies beside it.
     beyond : (m,) True where the foot is on the edge of an open surface.

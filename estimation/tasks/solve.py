@@ -19,7 +19,7 @@ from estimation.fitting import (
     row_variance,
 )
 from estimation.model import Model, values_of
-from estimation.observability import RankReport
+from estimation.observability import RANK_TOLERANCE, RankReport
 from estimation.solver import Update, update
 from estimation.tasks.explanations import explained
 from estimation.tasks.findings import Cause, Finding, Status, TaskRefused
@@ -28,6 +28,7 @@ from estimation.transform import FloatArray, Transform, log_pose
 AMBIGUOUS_RATIO: Final = 10.0  # of the costs of two solutions, below which neither is preferred
 OUTLIER_LEVEL: Final = 1e-3  # probability that an honest batch loses a measurement
 CONSISTENCY_LEVEL: Final = 1e-3  # probability that honest residuals are called inconsistent
+_DECISIVE: Final = 100.0  # chi-square against a second solution: ten standard deviations
 _COARSE: Final = 1e-2  # standard deviations: tolerance of a descent that only ranks its start
 _FEW_REJECTED: Final = 0.05  # share of rows that may contradict an explanation that all others confirm
 _MORE_DESCENTS: Final = 3
@@ -72,10 +73,15 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Ambiguity:
-    """A second solution: `ratio` of its cost to that of the first, and its values."""
+    """A second solution: `ratio` of its cost to that of the first, and its values.
+
+    `gap` is by how much chi-square speaks against it, where many measurements tell; it is reported all the
+    same, because both fit to a fraction of what form and noise may be.
+    """
 
     ratio: float
     values: Mapping[str, Value]
+    gap: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,7 +267,9 @@ def _contradictory(share: float) -> ContradictingData:
     )
 
 
-def estimated(start: Belief, model: Model, consider: Sequence[str]) -> Update:
+def estimated(
+    start: Belief, model: Model, consider: Sequence[str], rank_tolerance: float = RANK_TOLERANCE
+) -> Update:
     """The estimate of every task, from values that are near enough; raises as `update` does."""
     return update(
         start,
@@ -270,6 +278,7 @@ def estimated(start: Belief, model: Model, consider: Sequence[str]) -> Update:
         robust="cauchy",
         reject_level=OUTLIER_LEVEL,
         tolerance=1e-6,
+        rank_tolerance=rank_tolerance,
     )
 
 
@@ -284,7 +293,7 @@ def judged(
     """The result of an estimate, with what its residuals and a second solution say beside `findings`."""
     findings = [*findings, *_diagnosed(found)]
     if ambiguity is not None and ambiguity.ratio < AMBIGUOUS_RATIO:
-        findings.append(_ambiguous(ambiguity.ratio))
+        findings.append(_ambiguous(ambiguity))
     if any(finding.refuses for finding in findings):
         return Result(task, Status.REFUSED, tuple(findings), ambiguity=ambiguity)
     status = Status.FLAGGED if findings else Status.OK
@@ -393,9 +402,10 @@ def _diagnosed(found: Update) -> list[Finding]:
     return findings
 
 
-def _ambiguous(ratio: float) -> Finding:
+def _ambiguous(second: Ambiguity) -> Finding:
     return Finding(
         Cause.AMBIGUOUS,
-        f"Two solutions fit: the second costs {ratio:.2g} times the first, limit {AMBIGUOUS_RATIO:g}",
+        f"Two solutions fit: the second costs {second.ratio:.2g} times the first, limit {AMBIGUOUS_RATIO:g}",
         "Measure where the two differ, or give a prior for what is known",
+        refuses=second.gap < _DECISIVE,
     )
