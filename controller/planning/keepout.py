@@ -1,6 +1,6 @@
 """What the arm must not touch: boxes around everything that stands in the cell, the bench and the arm's base.
 
-No collision library: points of the wrist, the flange, the laser's head and the stylus, each with a radius,
+No collision library: points of forearm, wrist, flange, the laser's head and the stylus, each with a radius,
 against boxes. Good for planned postures and the straight joint paths between them, in a cell laid out for it.
 """
 
@@ -20,6 +20,7 @@ COLUMN_HEIGHT_M: Final = 0.40
 ELBOW_HEIGHT_M: Final = 0.20
 CLEARANCE_M: Final = 0.008
 SAMPLES: Final = 12  # along one joint path
+FOREARM_SAMPLES: Final = 16  # from wrist to elbow: between two, 3 mm of the clearance are lost
 
 # Outlines in the frames of the sensors: a laser head of 46 x 30 x 40 mm behind its window, a stylus.
 _LASER_HEAD: Final = np.array(
@@ -88,9 +89,9 @@ class Keepout:
         """Whether postures (..., 6) are clear; the stylus may be near the box of the name `touching`."""
         shape = joints_rad.shape[:-1]
         joints = joints_rad.reshape(-1, 6)
-        elbow = self.arm.d[0] + self.arm.a[1] * np.sin(self.arm.theta[1] + joints[:, 1])
-        free = elbow > ELBOW_HEIGHT_M
         flange = self.arm.flange_pose(joints)
+        elbow, wrist = self._forearm(joints, flange)
+        free = elbow[:, 2] > ELBOW_HEIGHT_M
         rotation, origin = flange[:, :3, :3], flange[:, :3, 3]
         points = rotation @ self.outline.points_m.T + origin[:, :, None]  # (m, 3, k)
         radius = self.outline.radius_m
@@ -101,7 +102,8 @@ class Keepout:
         free &= ~beside.any(axis=1)
         bent = np.abs(self.arm.theta[4] + joints[:, 4])
         folded = np.flatnonzero(free & (bent > self.folded_rad))
-        free[folded] = self._beside_forearm(joints[folded], flange[folded], points[folded])
+        free[folded] = self._beside_forearm(elbow[folded], wrist[folded], points[folded])
+        lowest = np.minimum(elbow[:, 2], wrist[:, 2]) - self.forearm_m - CLEARANCE_M
         for box in self.boxes:
             which = ~self.outline.stylus if box.name == touching else slice(None)
             room = (radius[which] + CLEARANCE_M)[:, None]
@@ -113,16 +115,31 @@ class Keepout:
             local = turn @ (points[near][:, :, which] - place[:, None])
             inside = np.asarray(((local > low) & (local < high)).all(axis=1))
             free[near[inside.any(axis=1)]] = False
+            under = np.flatnonzero(free & (lowest < box.top_m))
+            free[under] = self._forearm_clear(elbow[under], wrist[under], box)
         shaped: BoolArray = free.reshape(shape)
         return shaped
 
-    def _beside_forearm(self, joints: FloatArray, flange: FloatArray, points: FloatArray) -> BoolArray:
-        """Whether the sensors' points (m, 3, k) are clear of the arm's own forearm."""
+    def _forearm(self, joints: FloatArray, flange: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Elbow and wrist (m, 3) at joints (m, 6)."""
         angle, turn = self.arm.theta[1] + joints[:, 1], self.arm.theta[0] + joints[:, 0]
         out = self.arm.a[0] + self.arm.a[1] * np.cos(angle)
         rise = self.arm.d[0] + self.arm.a[1] * np.sin(angle)
         elbow = np.stack([out * np.cos(turn), out * np.sin(turn), rise], axis=1)
-        wrist = flange[:, :3, 3] - self.arm.d[-1] * flange[:, :3, 2]
+        return elbow, flange[:, :3, 3] - self.arm.d[-1] * flange[:, :3, 2]
+
+    def _forearm_clear(self, elbow: FloatArray, wrist: FloatArray, box: Box) -> BoolArray:
+        """Whether the forearms from elbows to wrists (m, 3) are clear of a box."""
+        share = np.linspace(0.0, 1.0, FOREARM_SAMPLES)[:, None]
+        points = wrist[:, None] + share * (elbow - wrist)[:, None]
+        local = (points - box.base_T_box.origin_m) @ box.base_T_box.rotation
+        beside = np.maximum(np.maximum(box.low_m - local, local - box.high_m), 0.0)
+        apart = np.linalg.norm(beside, axis=2)
+        clear: BoolArray = np.all(apart > self.forearm_m + CLEARANCE_M, axis=1)
+        return clear
+
+    def _beside_forearm(self, elbow: FloatArray, wrist: FloatArray, points: FloatArray) -> BoolArray:
+        """Whether the sensors' points (m, 3, k) are clear of the arm's own forearm."""
         along = elbow - wrist
         tool = self.outline.sensors
         offset = points[:, :, tool] - wrist[:, :, None]
