@@ -209,12 +209,13 @@ def margin_m(workspace: Workspace) -> float:
 def _displacements(cell: Cell) -> list[FloatArray]:
     """Places at the limits of where the part may lie: shifted along axes and diagonals, and turned."""
     part = cell.part
-    sides = [np.array(side) / np.linalg.norm(side) for side in product((-1, 0, 1), repeat=3) if any(side)]
-    turns = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
+    diagonals = np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)
+    turns = np.concatenate([np.eye(3), -np.eye(3)])
     return [
         exp_pose(np.concatenate([part.position_limit_m * side, part.rotation_limit_rad * turn]))
-        for side in sides
+        for side in np.concatenate([turns, diagonals])
         for turn in turns
+        if abs(side @ turn) < 0.9  # a shift along the axis that it turns about says little
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from controller.cellfile import Cell
 from controller.cellfile.lasers import Laser
 from controller.knowledge import all_faces, part_faces
-from controller.planning.poses import BoolArray, IntArray
+from controller.planning.poses import BoolArray
 from estimation.cad import CadFace
 from estimation.errors import EstimationError
 from estimation.transform import FloatArray
@@ -80,22 +80,27 @@ class Met:
 
 def beams_meet(cell: Cell, part_o: FloatArray, part_beam: FloatArray, names: list[str]) -> Met:
     """Rays from points (m, 3) along unit vectors (m, 3), in the frame of the part, against all its faces."""
-    named, mesh = part_faces(cell), _mesh(all_faces(cell))
+    named = part_faces(cell)
     wanted = np.array([named[name].index for name in names])
-    at_once = max(1, _MOST_PAIRS // len(mesh.face_index))
-    met = [
-        mesh.first_met(part_o[start : start + at_once], part_beam[start : start + at_once])
-        for start in range(0, max(len(part_o), 1), at_once)
-    ]
-    face, distance, cosine = (np.concatenate(part) for part in zip(*met, strict=True))
-    return Met(face == wanted, distance, cosine)
+    met = np.full(len(part_o), -1, dtype=np.intp)
+    distance, cosine = np.full(len(part_o), np.inf), np.zeros(len(part_o))
+    for face in _meshes(all_faces(cell)):
+        near = np.flatnonzero(face.may_meet(part_o, part_beam))
+        for some in np.array_split(near, len(near) * len(face.normal) // _MOST_PAIRS + 1):
+            there, slope = face.first_met(part_o[some], part_beam[some])
+            first = there < distance[some]
+            nearer = some[first]
+            met[nearer], distance[nearer], cosine[nearer] = face.index, there[first], slope[first]
+    return Met(met == wanted, distance, cosine)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mesh:
-    """Triangles (t) for rays, after Moeller and Trumbore by Pluecker's moment: products of matrices only."""
+    """Triangles (t) of a face, after Moeller and Trumbore by Pluecker's moment: products of matrices only."""
 
-    face_index: IntArray
+    index: int
+    centre: FloatArray  # (3,) of a sphere that holds the face
+    radius_m: float
     normal: FloatArray  # (t, 3) across, as long as twice the area
     height: FloatArray  # (t,) of its plane along that
     one: FloatArray
@@ -103,8 +108,14 @@ class _Mesh:
     one_first: FloatArray
     two_first: FloatArray  # (t, 3) cross products with the first corner
 
-    def first_met(self, origin: FloatArray, beam: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """For rays (m, 3): the face (-1: none), the distance (inf), and the cosine of the incidence."""
+    def may_meet(self, origin: FloatArray, beam: FloatArray) -> BoolArray:
+        """Which rays (m, 3) pass the sphere of the face."""
+        aside = np.cross(origin - self.centre, beam)
+        passing: BoolArray = np.einsum("mi,mi->m", aside, aside) <= self.radius_m**2
+        return passing
+
+    def first_met(self, origin: FloatArray, beam: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """For rays (m, 3): the distance (inf: none), and the cosine of the incidence."""
         moment = np.cross(origin, beam)
         determinant = -beam @ self.normal.T
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -115,9 +126,8 @@ class _Mesh:
         distance = np.where(hit, distance, np.inf)
         nearest = np.argmin(distance, axis=1)
         rows = np.arange(len(origin))
-        reached = distance[rows, nearest]
         cosine = np.abs(determinant[rows, nearest]) / np.linalg.norm(self.normal[nearest], axis=1)
-        return np.where(np.isfinite(reached), self.face_index[nearest], -1), reached, cosine
+        return distance[rows, nearest], cosine
 
 
 @lru_cache(maxsize=64)
@@ -135,13 +145,21 @@ def _sampler(name: str, face: CadFace) -> FaceSampler:
 
 
 @lru_cache(maxsize=8)
-def _mesh(faces: tuple[CadFace, ...]) -> _Mesh:
-    """The triangles of all faces."""
-    corners = np.concatenate([face.triangles for face in faces])
+def _meshes(faces: tuple[CadFace, ...]) -> tuple[_Mesh, ...]:
+    """The triangles of each face, as rays need them."""
+    return tuple(_mesh(face) for face in faces)
+
+
+def _mesh(face: CadFace) -> _Mesh:
+    corners = face.triangles
     first, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
+    points = corners.reshape(-1, 3)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
     return _Mesh(
-        face_index=np.repeat([face.index for face in faces], [len(face.triangles) for face in faces]),
+        index=face.index,
+        centre=centre,
+        radius_m=float(np.linalg.norm(points - centre, axis=1).max()) * (1.0 + 1e-9),
         normal=normal,
         height=np.einsum("tk,tk->t", first, normal),
         one=one,
