@@ -18,9 +18,9 @@ from drivers.clock import Clock
 from estimation.errors import (
     CellError,
     DeviceError,
-    DeviceTimeout,
     IllegalTransition,
     MotionStopped,
+    StillMoving,
     StoreError,
 )
 
@@ -228,8 +228,7 @@ class Engine:
 
     def _leave(self, command: Command, error: CellError) -> None:
         """Latch the fault and leave the acting state by `command`, or the hardest one that it accepts."""
-        fault = self._fault = Fault(fault_code(error), error.problem, error.remedy, self._clock.utc_s())
-        self._message = str(error)
+        fault = self._latch(error)
         self._connected = self._connected and not isinstance(error, DeviceError)
         verdict = error.verdict.to_dict() if isinstance(error, GateHeld) else None
         with self._lock:
@@ -240,6 +239,11 @@ class Engine:
                     return
             if self._machine.state.is_acting:  # Holding, Stopping, Aborting, Completing: end there anyhow
                 self._machine.state_complete()
+
+    def _latch(self, error: CellError) -> Fault:
+        fault = self._fault = Fault(fault_code(error), error.problem, error.remedy, self._clock.utc_s())
+        self._message = str(error)
+        return fault
 
     def _record_fault(self, fault: Fault, verdict: dict[str, Any] | None) -> None:
         try:
@@ -280,13 +284,15 @@ class Engine:
         try:
             while self._connected and not self._devices.robot.is_at_rest():
                 if self._clock.now_s() > deadline_s:
-                    raise DeviceTimeout(
+                    raise StillMoving(
                         f"The arm still moves {REST_TIMEOUT_S:g} s after the request to stop",
                         "Use the stop at the robot, then Clear",
                     )
         except DeviceError as error:
             self._connected = False
             log.warning("coming to rest: %s", error)
+            if isinstance(error, StillMoving):  # worse than what stopped it
+                self._record_fault(self._latch(error), None)
         if self._machine.state is State.ABORTING:
             self._disconnect()
 

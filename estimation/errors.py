@@ -32,6 +32,10 @@ class IdentityMismatch(DeviceError):
     """Another device, range or scale than the cell file declares."""
 
 
+class StillMoving(DeviceTimeout):
+    """An arm that was told to stop is not at rest."""
+
+
 class MotionStopped(DeviceError):
     """The arm came to rest before its target because a stop was requested."""
 

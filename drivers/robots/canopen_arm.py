@@ -29,7 +29,8 @@ from drivers.robots.canopen_arm_units import JointUnits
 from drivers.robots.canopen_latch import ContactLatch
 from drivers.robots.canopen_master import CanopenMaster, Sample
 from drivers.robots.canopen_path import PathFollower
-from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from drivers.robots.rest import only_still_moving
+from estimation.errors import DeviceError, DeviceTimeout, MotionStopped, StillMoving
 from estimation.transform import FloatArray
 
 _FAULT_BIT: Final = 1 << 3  # set in "fault" and "fault reaction active" only
@@ -419,7 +420,7 @@ class CanopenArm:
         first = self._master.next_sample(in_fault=True)
         while not self._resting(first, second := self._master.next_sample(in_fault=True)):
             if self._clock.now_s() > deadline_s:
-                raise DeviceTimeout(
+                raise StillMoving(
                     f"The arm is not at rest {self._config.move_margin_s:g} s after it was stopped",
                     "Use the emergency stop and check the brakes",
                 )
@@ -427,7 +428,10 @@ class CanopenArm:
 
     @contextlib.contextmanager
     def _at_rest_on_error(self) -> Iterator[None]:
-        """Whatever ends a move early, the arm is at rest before the error is raised."""
+        """Whatever ends a move early, the arm is at rest before the error is raised.
+
+        Raises StillMoving when it is not.
+        """
         try:
             yield
         except BaseException as error:
@@ -435,7 +439,7 @@ class CanopenArm:
                 if not isinstance(error, MotionStopped):
                     with contextlib.suppress(DeviceError):
                         self._quick_stop_all()
-                with contextlib.suppress(DeviceError):  # the first error names the cause
+                with only_still_moving(error):
                     self._wait_for_rest()
             raise
 

@@ -29,6 +29,7 @@ LOST_ANSWERS: Final = 25  # so many times the wait for an answer, and there is n
 KEEPER_SLICE_S: Final = 0.005
 DRAIN_LIMIT_S: Final = 0.5
 SDO_BYTES: Final = 8
+LAST_EMERGENCIES: Final = 64  # that are kept
 
 _unpack_tpdo1 = codec.TPDO1.unpack  # 300 frames/s go through here
 
@@ -95,7 +96,7 @@ class CanopenMaster:
         self._missed, self._doubled = 0, [0] * joints
         self.samples.clear()
         self._news = 0  # complete samples and faults, for those who wait for either
-        self.emergencies: list[tuple[int, codec.Emergency]] = []
+        self.emergencies: deque[tuple[int, codec.Emergency]] = deque(maxlen=LAST_EMERGENCIES)
         self._fault: DeviceError | None = None
 
     # --- the driver's thread -------------------------------------------------------------------------

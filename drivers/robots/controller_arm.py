@@ -26,8 +26,9 @@ from drivers.capabilities import (
 from drivers.clock import Clock
 from drivers.robots.joint_limits import within_limits
 from drivers.robots.motion_profile import synchronize
+from drivers.robots.rest import only_still_moving
 from drivers.robots.robot_controller import ControllerArmConfig, RobotController
-from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from estimation.errors import DeviceError, DeviceTimeout, MotionStopped, StillMoving
 from estimation.transform import FloatArray, Transform
 
 TOUCH_WATCH_S: Final = 0.5  # between two looks at the controller while a probe is polled
@@ -353,7 +354,7 @@ class ControllerArm:
         deadline_s = self._clock.now_s() + REST_TIMEOUT_S
         while not self.is_at_rest():
             if self._clock.now_s() > deadline_s:
-                raise DeviceTimeout(
+                raise StillMoving(
                     f"The arm is not at rest {REST_TIMEOUT_S:g} s after it was stopped",
                     "Use the emergency stop and check the brakes",
                 )
@@ -361,14 +362,17 @@ class ControllerArm:
 
     @contextlib.contextmanager
     def _at_rest_on_error(self) -> Iterator[None]:
-        """Whatever ends a move early, the arm is at rest before the error is raised."""
+        """Whatever ends a move early, the arm is at rest before the error is raised.
+
+        Raises StillMoving when it is not.
+        """
         try:
             yield
-        except BaseException:
+        except BaseException as error:
             if self._connected:
-                with contextlib.suppress(DeviceError):  # the first error names the cause
-                    with self._asking():
-                        self._halt()  # also after a stop: it may have overtaken the start of the move
+                with contextlib.suppress(DeviceError), self._asking():
+                    self._halt()  # also after a stop: it may have overtaken the start of the move
+                with only_still_moving(error):
                     self._wait_for_rest()
             raise
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controller.cellfile import load_cell
-from estimation.errors import DeviceError, DeviceTimeout, MotionStopped
+from estimation.errors import DeviceError, DeviceTimeout, MotionStopped, StillMoving
 from estimation.transform import Transform
 from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
 
@@ -20,6 +20,20 @@ def rig(request: pytest.FixtureRequest, cache: Path) -> RobotRig:
     rig = RobotRig(cache, request.param)
     rig.robot.connect()
     return rig
+
+
+def stop_after(rig: RobotRig, delay_s: float) -> None:
+    """Whoever waits, for a while or for an answer, finds the stop requested afterwards."""
+    asked_s = rig.clock.now_s() + delay_s
+    sleep, advance_to, asked = rig.clock.sleep, rig.clock.advance_to, list[bool]()
+
+    def stop_in_time() -> None:
+        if rig.clock.now_s() >= asked_s and not asked:
+            asked.append(True)
+            rig.robot.stop()
+
+    rig.clock.sleep = lambda duration_s: (sleep(duration_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
+    rig.clock.advance_to = lambda time_s: (advance_to(time_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
 
 
 def test_a_move_ends_at_the_target_and_at_rest(rig: RobotRig) -> None:
@@ -59,6 +73,20 @@ def test_a_linear_move_keeps_to_the_line_and_ends_at_its_pose(rig: RobotRig) -> 
     along = (matrix - begin)[:3, 3] / np.linalg.norm((matrix - begin)[:3, 3])
     assert np.max(np.linalg.norm(way - np.outer(way @ along, along), axis=1)) < 6e-4
     assert way[-1] == pytest.approx((matrix - begin)[:3, 3], abs=6e-4)
+
+
+def test_an_arm_that_does_not_heed_a_stop_is_not_called_stopped(
+    rig: RobotRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The halt is lost on its way, and the arm is still under way when it is looked at."""
+    arm: Any = rig.robot
+    monkeypatch.setattr("drivers.robots.controller_arm.REST_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(arm, "_halt", lambda: None)
+    monkeypatch.setattr(arm, "is_at_rest", lambda: False)
+    stop_after(rig, 0.3)
+    with pytest.raises(StillMoving, match=r"not at rest .* Use the emergency stop") as raised:
+        rig.robot.move_joints(rig.truth_rad() + np.array([60, 0, 0, 0, 0, 0]) * DEG)
+    assert isinstance(raised.value.__cause__, MotionStopped)
 
 
 def test_a_linear_move_is_stopped_on_request(rig: RobotRig) -> None:
@@ -104,17 +132,8 @@ def test_a_guarded_move_without_contact_ends_at_the_target(rig: RobotRig) -> Non
 
 def test_a_stop_ends_the_move_and_a_release_allows_the_next(rig: RobotRig) -> None:
     start = rig.truth_rad()
-    asked_s = rig.clock.now_s() + 0.4
-    sleep, advance_to, asked = rig.clock.sleep, rig.clock.advance_to, list[bool]()
-
-    def stop_in_time() -> None:
-        if rig.clock.now_s() >= asked_s and not asked:
-            asked.append(True)
-            rig.robot.stop()
-
-    # Whoever waits, for a while or for an answer, finds the stop requested afterwards.
-    rig.clock.sleep = lambda duration_s: (sleep(duration_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
-    rig.clock.advance_to = lambda time_s: (advance_to(time_s), stop_in_time())[0]  # type: ignore[func-returns-value, method-assign]
+    sleep, advance_to = rig.clock.sleep, rig.clock.advance_to
+    stop_after(rig, 0.4)
     with pytest.raises(MotionStopped):
         rig.robot.move_joints(start + 60 * DEG)
     rig.clock.sleep, rig.clock.advance_to = sleep, advance_to  # type: ignore[method-assign]
