@@ -56,10 +56,15 @@ class FaceSampler:
     def edge_distance(self, points: FloatArray) -> FloatArray:
         """Distance (m,) of points to the nearest edge."""
         start, along = self.edges[:, 0], self.edges[:, 1] - self.edges[:, 0]
-        offset = points[:, None] - start
-        share = np.clip(np.einsum("mek,ek->me", offset, along) / (along**2).sum(axis=1), 0.0, 1.0)
-        nearest: FloatArray = np.linalg.norm(offset - share[..., None] * along, axis=2).min(axis=1)
-        return nearest
+        middle = start.mean(axis=0)  # near the points: squares of small numbers are exact enough
+        points, start = points - middle, start - middle
+        length = (along**2).sum(axis=1)
+        ahead = points @ along.T - np.einsum("ek,ek->e", start, along)
+        square = (points**2).sum(axis=1)[:, None] - 2.0 * points @ start.T + (start**2).sum(axis=1)
+        share = np.clip(ahead / length, 0.0, 1.0)
+        nearest = (square + share * (share * length - 2.0 * ahead)).min(axis=1)
+        distance: FloatArray = np.sqrt(np.maximum(nearest, 0.0))
+        return distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
