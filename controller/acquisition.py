@@ -22,6 +22,7 @@ from estimation.transform import FloatArray
 
 BACK_OFF_M = 2e-4  # how far the ball leaves the surface between the fast and the slow touch
 SLOW_TOUCHES = 4  # at most, when the polls of the probe come too far apart
+OTHER_START = 1.4  # times the way of the touch before
 GOOD_POLLS = 8.0  # poll periods: a touch known so well needs no other
 WORST_POLLS = 25.0  # and one that is not even known so well does not count
 MINIMUM_CYCLES = 20  # laser cycles in one measurement
@@ -172,6 +173,7 @@ class Acquisition:
                 best = contact
             if best.late_s <= robot_s + GOOD_POLLS * spec.poll_period_s:
                 break
+            share *= OTHER_START  # from the same place the contact would fall into the same gap of the polls
         if best.late_s > (limit_s := robot_s + WORST_POLLS * spec.poll_period_s):
             raise DeviceError(
                 f"{SLOW_TOUCHES} touches known to {best.late_s * 1e3:.0f} ms at best, "

@@ -89,7 +89,7 @@ class Engine:
             self._fault = Fault(
                 "H1", reason, "Clear, Reset and Start go on from the last checkpoint", clock.utc_s()
             )
-        self._handlers: Mapping[State, Callable[[], None]] = {
+        self._handlers: Mapping[State, Callable[[], object]] = {
             State.CLEARING: self._clearing,
             State.RESETTING: self._resetting,
             State.STARTING: self._starting,
@@ -277,10 +277,13 @@ class Engine:
         self._job.execute(self._checkpoint)
         self._message = "All phases ended"
 
-    def _come_to_rest(self) -> None:
-        """Holding, Suspending and Aborting: nothing moves any more, as far as the arm can still be asked."""
+    def _come_to_rest(self) -> bool:
+        """Holding, Suspending and Aborting: nothing moves any more, as far as the arm can still be asked.
+
+        False when it can be asked, and moves.
+        """
         self.request_stop()
-        deadline_s = self._clock.now_s() + REST_TIMEOUT_S
+        deadline_s, at_rest = self._clock.now_s() + REST_TIMEOUT_S, True
         try:
             while self._connected and not self._devices.robot.is_at_rest():
                 if self._clock.now_s() > deadline_s:
@@ -293,8 +296,10 @@ class Engine:
             log.warning("coming to rest: %s", error)
             if isinstance(error, StillMoving):  # worse than what stopped it
                 self._record_fault(self._latch(error), None)
+                at_rest = False
         if self._machine.state is State.ABORTING:
             self._disconnect()
+        return at_rest
 
     def _return_to_execute(self) -> None:
         """Unholding and Unsuspending: the cell is the one that was left, proven by a reference."""
@@ -307,11 +312,12 @@ class Engine:
         self._forget_fault("")
 
     def _stopping(self) -> None:
-        self._come_to_rest()
+        at_rest = self._come_to_rest()
         if self._began:
             self._job.end(State.STOPPED.value)
             self._began = False
-        self._message = "Stopped"
+        if at_rest:
+            self._message = "Stopped"
 
     def _completing(self) -> None:
         self._job.complete()

@@ -73,6 +73,7 @@ def test_whatever_the_device_nothing_is_released_wrongly(other: str, seed: int, 
         inside = sum(row.inside for row in rows)
         why = "" if state.value == "Completed" else cell.engine.status()["message"]
         print(f"| {other} | {seed} | {state.value} | {verdict} | {inside} of {len(rows)} | {why} |")
+        assert state.value == "Completed", why
         assert not [row for row in rows if row.wrongly_released]
         if stated()[other][1] != Outcome.OK.value:
             assert verdict != Outcome.OK.value

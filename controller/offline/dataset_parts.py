@@ -55,6 +55,7 @@ Point = tuple[float, float, float]
 Index = Annotated[int, Field(ge=0)]
 Std = Annotated[Length, Field(ge=0, le=0.1)]
 Noise = Annotated[Length, Field(gt=0, le=0.1)]
+MOST_PRIOR_STD: Final = 100.0  # mm or deg: as `Std`
 
 
 class Units(Part):
@@ -201,7 +202,7 @@ class Prior(Part):
     std: PoseStd | None = None
     """How well it is known; zeros hold it where it is."""
     covariance: tuple[tuple[float, ...], ...] | None = None
-    """Instead of std, as `--json` of its calibration gives it: of its freedoms, in `units`."""
+    """Instead of std, of its freedoms as `--json` of its calibration gives it: mm and deg squared."""
 
     def wrong(self, freedoms: Sequence[str]) -> Iterator[Wrong]:
         """One of std and covariance, and of the freedoms that the sensor has."""
@@ -212,6 +213,11 @@ class Prior(Part):
             if rows != [count] * count:
                 wanted = f"write {count} x {count} numbers, of {', '.join(freedoms)}"
                 yield ("prior", "covariance"), f"{len(rows)} rows of {max(rows, default=0)} numbers", wanted
+                return
+            std = np.sqrt(np.maximum(np.diag(np.array(self.covariance)), 0.0))
+            if (worst := int(np.argmax(std))) >= 0 and std[worst] > MOST_PRIOR_STD:
+                seen = f"{freedoms[worst]} has a standard deviation of {std[worst]:.4g}"
+                yield ("prior", "covariance"), seen, f"write mm and deg squared, {MOST_PRIOR_STD:g} at most"
 
     def known(self, units: Units, freedoms: Sequence[str]) -> dict[str, Any]:
         """Of the mount, as arguments of a problem, in SI."""
@@ -221,7 +227,7 @@ class Prior(Part):
                 self.std.rotation_rad if name.startswith("r") else self.std.position_m for name in freedoms
             ]
             return {"mount": mount, "mount_std": np.array(std)}
-        scale = [float((units.angles if name.startswith("r") else units.lengths)(1.0)) for name in freedoms]
+        scale = [np.radians(1.0) if name.startswith("r") else 1e-3 for name in freedoms]
         return {"mount": mount, "mount_covariance": np.array(self.covariance) * np.outer(scale, scale)}
 
 

@@ -98,6 +98,11 @@ class _Touched(PositionerDataset):
     ball_radius_u_m: Std = 0.0
     """Standard uncertainty of it, pre-travel included."""
 
+    def wrong(self) -> Iterator[Wrong]:
+        yield from super().wrong()
+        if self.ball_radius_u_m and self.ball_radius_m is None:
+            yield ("ball_radius_u",), "there is no ball_radius", "write ball_radius, or leave both out"
+
     def arguments(self) -> dict[str, Any]:
         ball = {"ball_radius_m": self.ball_radius_m or 0.0, "ball_std_m": self.ball_radius_u_m}
         return {**super().arguments(), **ball}

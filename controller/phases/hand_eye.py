@@ -15,7 +15,7 @@ from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
 from estimation.measurement import Chain, point_jacobian
-from estimation.solver import update
+from estimation.solver import Update, update
 
 OUTLIER_LEVEL = 0.001  # probability that an honest batch loses a row
 
@@ -30,15 +30,7 @@ class HandEyePhase(OneByOne):
     def evaluate(
         self, context: PhaseContext[job.HandEyePhase], steps: Sequence[Step], samples: Sequence[Sample]
     ) -> Finding:
-        prior = with_plate(context.belief, context.cell)
-        batches = observations(context.cell, good(samples))
-        fit = update(
-            prior,
-            Chain(context.arm, batches),
-            targets=("laser", "plate"),
-            phase="hand-eye",
-            reject_level=OUTLIER_LEVEL,
-        )
+        fit = self._fit(context, good(samples))
         gated = self.gated(context, fit.belief)
         level = context.cell.job.test_level
         verdict = findings.uncertainty_verdict(fit, gated, context.spec.limit_m, "Hand-eye", level)
@@ -55,10 +47,19 @@ class HandEyePhase(OneByOne):
         return Finding(verdict, fit.belief, estimate)
 
     def known(self, context: PhaseContext[job.HandEyePhase], samples: Sequence[Sample]) -> Belief:
-        prior = with_plate(context.belief, context.cell)
         if not samples:
-            return prior
-        return update(prior, Chain(context.arm, observations(context.cell, samples)), phase="hand-eye").belief
+            return with_plate(context.belief, context.cell)
+        return self._fit(context, samples).belief
+
+    @staticmethod
+    def _fit(context: PhaseContext[job.HandEyePhase], samples: Sequence[Sample]) -> Update:
+        return update(
+            with_plate(context.belief, context.cell),
+            Chain(context.arm, observations(context.cell, samples)),
+            targets=("laser", "plate"),
+            phase="hand-eye",
+            reject_level=OUTLIER_LEVEL,
+        )
 
     def prospect(self, context: PhaseContext[job.HandEyePhase], belief: Belief, seed: int) -> Prospect:
         return Prospect.of_hand_eye(context.cell, belief, context.arm, context.spec, seed)

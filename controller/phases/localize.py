@@ -14,7 +14,7 @@ from controller.planning.steps import Step
 from controller.samples import Sample
 from estimation.belief import Belief
 from estimation.measurement import Chain, object_point_jacobian
-from estimation.solver import update
+from estimation.solver import Update, update
 
 OUTLIER_LEVEL = 0.001
 FEWEST_COARSE = 6  # points without which the six freedoms of the part stay open
@@ -64,15 +64,7 @@ class LocalizePhase(OneByOne):
     def evaluate(
         self, context: PhaseContext[job.LocalizePhase], steps: Sequence[Step], samples: Sequence[Sample]
     ) -> Finding:
-        prior = with_part(context.belief, context.cell)
-        fit = update(
-            prior,
-            Chain(context.arm, observations(context.cell, good(samples))),
-            targets=("part",),
-            phase="localize",
-            robust="huber",
-            reject_level=OUTLIER_LEVEL,
-        )
+        fit = self._fit(context, good(samples))
         corners = part_corners_m(context.cell)
         names = [f"corner ({x * 1e3:.0f}, {y * 1e3:.0f}, {z * 1e3:.0f})" for x, y, z in corners]
         gated = findings.gated_points(object_point_jacobian(fit.belief, "part", corners), fit.belief, names)
@@ -90,10 +82,20 @@ class LocalizePhase(OneByOne):
         return Finding(verdict, fit.belief, estimate)
 
     def known(self, context: PhaseContext[job.LocalizePhase], samples: Sequence[Sample]) -> Belief:
-        prior = with_part(context.belief, context.cell)
         if not samples:
-            return prior
-        return update(prior, Chain(context.arm, observations(context.cell, samples)), phase="localize").belief
+            return with_part(context.belief, context.cell)
+        return self._fit(context, samples).belief
+
+    @staticmethod
+    def _fit(context: PhaseContext[job.LocalizePhase], samples: Sequence[Sample]) -> Update:
+        return update(
+            with_part(context.belief, context.cell),
+            Chain(context.arm, observations(context.cell, samples)),
+            targets=("part",),
+            phase="localize",
+            robust="huber",
+            reject_level=OUTLIER_LEVEL,
+        )
 
     def prospect(self, context: PhaseContext[job.LocalizePhase], belief: Belief, seed: int) -> Prospect:
         return Prospect.of_part(context.cell, belief, context.arm, context.spec, seed)

@@ -67,8 +67,13 @@ class SerialLink:
         except (*PORT_ERRORS, ValueError) as error:
             self._meter.broken()
             raise opening_failed(self.port, error) from error
-        if parity != "N":
-            _check_parity(port)
+        try:
+            if parity != "N":
+                _check_parity(port)
+        except PORT_ERRORS as error:  # it went meanwhile
+            port.close()
+            self._meter.broken()
+            raise opening_failed(self.port, error) from error
         with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no such lines
             port.dtr = port.rts = True
         self._serial, self._failure = port, None

@@ -32,6 +32,7 @@ from estimation.errors import DeviceError, DeviceTimeout, MotionStopped, StillMo
 from estimation.transform import FloatArray, Transform
 
 TOUCH_WATCH_S: Final = 0.5  # between two looks at the controller while a probe is polled
+UNDER_WAY_S: Final = 0.1  # between two looks at an arm that may be moving
 REST_TIMEOUT_S: Final = 5.0
 IN_POSITION_M: Final = 5e-4  # of the flange after a linear move, as a coarse controller reports it
 ELSEWHERE_S: Final = 0.5  # an arm that stands elsewhere for so long does so, whatever the noise of a reading
@@ -65,17 +66,31 @@ class ControllerArm:
     # --- Device --------------------------------------------------------------------------------------
 
     def connect(self) -> Identity:
-        """Open the links, compare the identity, and unless a stop is requested enable the motors.
+        """Open the links, compare the identity, bring the arm to rest, and unless stopped enable the motors.
 
-        Raises DeviceError, DeviceTimeout, IdentityMismatch.
+        Raises DeviceError, DeviceTimeout, IdentityMismatch, StillMoving.
         """
         with self._exchange:
             self._connected = self._enabled = False
             identity = self._controller.connect()
+            self._connected, self._halted = True, False
+            if self._is_under_way():
+                self._halt()
+                self._wait_for_rest()
             if not self._stop_requested:
                 self._enable()
-            self._connected, self._halted = True, False
         return identity
+
+    def _is_under_way(self) -> bool:
+        """With a move of before, whose stop may have been lost; a robot without a stop ends it by itself.
+
+        By its joints: a controller tells only of moves that it knows, and of none with its motors off.
+        """
+        if self.abilities.stop is StopWay.BETWEEN_STEPS:
+            return False
+        first = self.read_joints(1).joints_rad[0]
+        self._clock.sleep(UNDER_WAY_S)
+        return not self._stands(first, self.read_joints(1).joints_rad[0])
 
     def _enable(self) -> None:
         self._controller.enable()

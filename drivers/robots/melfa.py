@@ -104,12 +104,14 @@ class MelfaLine:
             data = self._link.read(max(remaining_s, 0.0))
             self._lines.feed(data)
             if not self._terminator and data:
-                while more := self._link.read(config.quiet_s):
+                while now_s() < deadline_s and (more := self._link.read(config.quiet_s)):
                     self._lines.feed(more)
                 answer = self._lines.flush()
                 if answer is not None:
                     break
-            if not data and remaining_s <= 0.0:
+            if remaining_s <= 0.0 and (answer := self._lines.next_line()) is not None:
+                break
+            if remaining_s <= 0.0:  # also on a line that never falls silent
                 self.timeouts += 1
                 raise DeviceTimeout(
                     f"MELFA did not answer {command} within {config.reply_timeout_s:g} s",

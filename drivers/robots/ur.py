@@ -81,7 +81,7 @@ class Dashboard:
             remaining_s = deadline_s - self._clock.now_s()
             data = self._link.read(max(remaining_s, 0.0))
             self._buffer = (self._buffer + data)[-LONGEST_LINE:]
-            if not data and remaining_s <= 0.0:
+            if remaining_s <= 0.0 and b"\n" not in self._buffer:  # also on a line that never falls silent
                 raise DeviceTimeout(  # what comes later is a stray
                     f"The dashboard did not answer {command!r} within {self._reply_timeout_s:g} s",
                     "Check network cable and power of the controller",

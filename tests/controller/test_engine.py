@@ -109,10 +109,11 @@ class Cell:
     robot: FakeDevice = field(default_factory=lambda: FakeDevice("robot"))
     laser: FakeDevice = field(default_factory=lambda: FakeDevice("laser"))
     probe: FakeDevice = field(default_factory=lambda: FakeDevice("probe"))
+    clock: VirtualClock = field(default_factory=VirtualClock)
 
     def __post_init__(self) -> None:
         devices = Devices(self.robot, self.laser, self.probe)  # type: ignore[arg-type]
-        self.engine = Engine(self.job, devices, VirtualClock())
+        self.engine = Engine(self.job, devices, self.clock)
 
     def command(self, *commands: Command) -> State:
         for command in commands:
@@ -225,6 +226,19 @@ def test_an_arm_that_a_stop_command_stopped_is_not_a_fault(cell: Cell) -> None:
     cell.job.acts = [act]
     assert cell.start() is State.STOPPED
     assert cell.engine.status()["fault"] is None
+
+
+def test_an_arm_that_moves_on_is_not_called_stopped(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    def moving() -> bool:
+        cell.clock.sleep(0.1)
+        return False
+
+    monkeypatch.setattr(cell.robot, "is_at_rest", moving)
+    cell.job.acts = [_then_checkpoint(cell, Command.STOP)]
+    assert cell.start() is State.STOPPED
+    status = cell.engine.status()
+    assert status["message"] != "Stopped"
+    assert status["fault"]["text"] == "The arm still moves 2 s after the request to stop"
 
 
 def test_an_arm_that_stops_by_itself_is_a_fault(cell: Cell) -> None:

@@ -113,3 +113,12 @@ def test_a_mistake_is_named_with_its_line(
     spoil, sentence = BAD[name]
     spoil(content)
     assert sentence in refused(content)
+
+
+def test_an_uncertainty_of_a_ball_that_is_not_there_is_refused(
+    content: dict[str, Any], refused: Callable[[dict[str, Any]], str]
+) -> None:
+    """It would be left out of the budget without a word."""
+    touched = {key: value for key, value in content.items() if key not in ("markers", "marker", "marker_u")}
+    touched |= {"task": "positioner-sphere", "radius": "12.5 mm", "ball_radius_u": "0.05 mm"}
+    assert 'ball_radius_u = "0.05 mm": there is no ball_radius, write ball_radius' in refused(touched)

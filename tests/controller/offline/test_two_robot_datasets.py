@@ -108,6 +108,7 @@ def test_a_result_is_the_prior_of_the_next_estimate(run: Run, tmp_path: Path) ->
     [
         ({"std": {"position": "1 mm", "rotation": "1 deg"}}, "prior: needs one of std and covariance"),
         ({"covariance": None}, "prior: needs one of std and covariance"),
+        ({"covariance": (1e6 * np.eye(5)).tolist()}, "tx has a standard deviation of 1000, write mm and deg"),
         ({"covariance": [[1.0]]}, "prior.covariance = [[1.0]]: 1 rows of 1 numbers, write 5 x 5 numbers"),
     ],
 )

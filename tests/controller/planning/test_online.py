@@ -211,3 +211,17 @@ def test_a_hand_eye_goes_on_in_the_same_way(exact: Cell, planned: Planned) -> No
     best: Belief = belief_of(plan_hand_eye(exact, planned.plate_prior, planned.arm, len(steps), SEED))
     chosen_at_once = max(float(p["U_m"]) for p in HandEyePhase.gated(context, best))
     assert U_of(finding) < 1.15 * chosen_at_once  # one by one is hardly worse than all at once
+
+
+def test_one_wrong_reading_moves_neither_the_estimate_nor_what_is_planned_with(
+    exact: Cell, planned: Planned
+) -> None:
+    """The tool that must stay clear of everything is where the laser is believed to be."""
+    spec = next(phase for phase in exact.job.phases if isinstance(phase, HandEyeSpec))
+    context = PhaseContext(exact, spec, planned.arm, first_belief(exact), seed=SEED)
+    steps = numbered(HandEyePhase().plan(context))[:40]
+    samples = [sample_of(exact, step) for step in steps]
+    samples[7] = replace(samples[7], reading_m=samples[7].reading_m + 0.010)
+    nominal_m = exact.laser.mount.transform().origin_m
+    known = HandEyePhase().known(context, samples)
+    assert np.linalg.norm(known.transform("laser").origin_m - nominal_m) < 1e-3

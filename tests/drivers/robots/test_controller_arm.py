@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from controller.cellfile import load_cell
+from drivers.capabilities import StopWay
 from estimation.errors import DeviceError, DeviceTimeout, MotionStopped, StillMoving
 from estimation.transform import Transform
 from tests.drivers.robots.rig import ABB, CELL, IGUS, MELFA_SERIAL, MELFA_TCP, UR, RobotRig, TimedProbe
@@ -87,6 +88,21 @@ def test_an_arm_that_does_not_heed_a_stop_is_not_called_stopped(
     with pytest.raises(StillMoving, match=r"not at rest .* Use the emergency stop") as raised:
         rig.robot.move_joints(rig.truth_rad() + np.array([60, 0, 0, 0, 0, 0]) * DEG)
     assert isinstance(raised.value.__cause__, MotionStopped)
+
+
+def test_an_arm_that_is_found_moving_is_brought_to_rest_before_its_motors_are_enabled(
+    rig: RobotRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stop that was given while the link was down is not lost, and nothing goes on by itself."""
+    arm: Any = rig.robot
+    if arm.abilities.stop is StopWay.BETWEEN_STEPS:
+        pytest.skip("has no stop: each of its short steps ends by itself")
+    start = rig.truth_rad()
+    arm._start(start + np.array([60, 0, 0, 0, 0, 0]) * DEG, 0.3)
+    rig.clock.sleep(0.5)
+    rig.robot.connect()
+    assert not rig.arm.moving(rig.clock.now_s())
+    assert 0.5 * DEG < np.max(rig.truth_rad() - start) < 59 * DEG
 
 
 def test_a_linear_move_is_stopped_on_request(rig: RobotRig) -> None:
