@@ -73,3 +73,21 @@ def test_other_terminators(cache: Path, end: str) -> None:
     rig.robot.move_joints(rig.truth_rad() + 1 * DEG)
     rig.robot.close()
     rig.robot.close()
+
+
+def test_a_line_that_never_falls_silent_is_given_up(rig: RobotRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise without an end in place of an answer keeps neither the question waiting nor a stop behind it."""
+    link, asked = rig.link(), list[bytes]()
+
+    def noisy(timeout_s: float) -> bytes:
+        rig.clock.sleep(0.01)
+        if rig.clock.now_s() > begun_s + 30.0:
+            pytest.fail("still waiting after 30 s")
+        return b"\x7f" if asked else b""
+
+    monkeypatch.setattr(link, "write", asked.append)
+    monkeypatch.setattr(link, "read", noisy)
+    begun_s = rig.clock.now_s()
+    with pytest.raises(DeviceError):
+        rig.robot.read_joints(1)
+    assert rig.clock.now_s() - begun_s < 10.0
