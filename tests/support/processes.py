@@ -288,8 +288,9 @@ def _alive(pid: int) -> bool:
 
     The first thread may have ended before the others, which still hold the files and locks of the process.
     """
-    states = list[str]()
-    for thread in Path(f"/proc/{pid}/task").glob("*/stat"):
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            states.append(thread.read_text().rpartition(")")[2].split()[0])
+    states, gone = list[str](), (FileNotFoundError, ProcessLookupError)
+    with contextlib.suppress(*gone):  # the process goes while its threads are listed
+        for thread in Path(f"/proc/{pid}/task").glob("*/stat"):
+            with contextlib.suppress(*gone):
+                states.append(thread.read_text().rpartition(")")[2].split()[0])
     return any(state not in "ZX" for state in states)
