@@ -145,6 +145,6 @@ def _print(found: "SurfaceFit", choice: "Choice | None") -> None:
     if choice is not None:
         typer.echo(f"Chosen: {choice.reason}. Not chosen: {'; '.join(choice.others)}.")
     status, reason = status_of(found)
-    for flag in found.flags:
+    for flag in (flag for flag in found.flags if not flag.spoils):  # the others are the status
         typer.echo(f"Note: {flag.text}.")
     typer.echo(f"Status: {status}{f': {reason}' if reason else ''}")

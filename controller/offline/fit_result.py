@@ -14,12 +14,14 @@ _MM: Final = 1e3
 
 
 def status_of(fit: SurfaceFit) -> tuple[str, str]:
-    """("usable", "") or ("not_usable", why): points that scatter farther than stated are not explained."""
+    """("usable", "") or ("not_usable", why): the flags that spoil the numbers."""
+    reasons = []
     for flag in fit.flags:
-        if flag.cause is Cause.SCATTER_NOT_AS_STATED and (fit.variance_factor or 0.0) > 1.0:
-            hint = scatter_hint(float(np.sqrt(fit.variance_factor or 1.0)))
-            return "not_usable", f"{flag.text}{f'; {hint}' if hint else ''}"
-    return "usable", ""
+        if flag.spoils:
+            scatter = flag.cause is Cause.SCATTER_NOT_AS_STATED
+            hint = scatter_hint(float(np.sqrt(fit.variance_factor or 1.0))) if scatter else ""
+            reasons.append(f"{flag.text}{f'; {hint}' if hint else ''}")
+    return ("not_usable" if reasons else "usable"), "; ".join(reasons)
 
 
 def document(fit: SurfaceFit, choice: Choice | None) -> dict[str, Any]:

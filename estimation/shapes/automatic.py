@@ -6,13 +6,13 @@ from typing import Final
 import numpy as np
 
 from estimation.shapes.checks import checked_points
-from estimation.shapes.fit import KINDS, fit_surface, spread
+from estimation.shapes.fit import KINDS, fit_surface, fit_without_second_thoughts, spread
 from estimation.shapes.plane import Plane
 from estimation.shapes.refusals import Cause, FitRefused
 from estimation.shapes.result import SurfaceFit
+from estimation.shapes.suspicions import RESOLUTION
 from estimation.transform import FloatArray
 
-_RESOLUTION: Final = 1.2e-7  # of the largest coordinate: meshes and clouds are stored in single precision
 _CLEAR: Final = 10.0  # difference of the criterion: odds of about 150 to 1
 
 
@@ -35,12 +35,12 @@ def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = F
     points = checked_points(points_m, Plane, sigma_known=False).points_m
     sample = points[spread(len(points))]
     count = len(sample)
-    floor_m = _RESOLUTION * float(np.abs(sample).max())
+    floor_m = RESOLUTION * float(np.abs(sample).max())
     tried: list[tuple[float, str, float]] = []
     others: list[str] = []
     for kind, shape in KINDS.items():
         try:
-            fit = fit_surface(kind, sample, robust=robust)
+            fit = fit_without_second_thoughts(kind, sample, robust=robust)
         except FitRefused as refusal:
             others.append(f"{kind}: {refusal.problem}")
             continue

@@ -122,16 +122,28 @@ def refuse_undetermined(shape: Shape, information: FloatArray, sigma_m: float | 
             limits[place] = _LARGEST_SHARE * abs(value)
     if (over := np.flatnonzero(deviations > limits)).size:
         raise _undetermined(shape, [names[i] for i in over])
-    if shape.KIND == "cone" and shape.sizes[1] < max(3.0 * deviations[-1], 1e-7):
-        raise FitRefused(
-            Cause.SIMPLER_SURFACE,
-            f"The half angle of the cone, {np.degrees(shape.sizes[1]):.4f} deg, cannot be told from zero",
-            "Fit a cylinder",
-        )
-    if shape.KIND != "plane" and float(np.max(np.abs(shape.sizes))) > 1e4 * size_m:
+    refuse_simpler(shape, max(3.0 * deviations[-1], 1e-7), 1e4 * size_m)
+
+
+def refuse_simpler(shape: Shape, margin_rad: float, largest_m: float) -> None:
+    """Raises FitRefused for a cone within `margin_rad` of cylinder or plane, or radii above `largest_m`."""
+    names = shape.FREEDOMS[len(shape.FREEDOMS) - len(shape.sizes) :]
+    if any(
+        not shape.is_angle(n) and abs(size) > largest_m for n, size in zip(names, shape.sizes, strict=True)
+    ):
         raise FitRefused(
             Cause.SIMPLER_SURFACE, f"The {shape.KIND} is as good as flat where the points are", "Fit a plane"
         )
+    if shape.KIND != "cone":
+        return
+    angle = float(shape.sizes[1])
+    for limit_rad, words, simpler in ((0.0, "zero", "cylinder"), (np.pi / 2.0, "90 deg", "plane")):
+        if abs(angle - limit_rad) < margin_rad:
+            raise FitRefused(
+                Cause.SIMPLER_SURFACE,
+                f"The half angle of the cone, {np.degrees(angle):.4f} deg, cannot be told from {words}",
+                f"Fit a {simpler}",
+            )
 
 
 def _undetermined(shape: Shape, names: list[str]) -> FitRefused:
@@ -163,6 +175,7 @@ def flags_of(fit: SurfaceFit) -> SurfaceFit:
                 Cause.SCATTER_NOT_AS_STATED,
                 f"The points scatter {ratio:.3g} times as far as stated: "
                 "sigma, its unit, or the surface is wrong",
+                spoils=ratio > 1.0,
             )
         )
     if fit.alternative_ratio < _AMBIGUOUS_RATIO:

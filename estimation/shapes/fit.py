@@ -13,6 +13,7 @@ from estimation.shapes.checks import (
     checked_sigma,
     flags_of,
     refuse_other_surface,
+    refuse_simpler,
     refuse_undetermined,
 )
 from estimation.shapes.cone import Cone
@@ -24,12 +25,15 @@ from estimation.shapes.refusals import Cause, FitRefused
 from estimation.shapes.result import SurfaceFit
 from estimation.shapes.shape import Shape
 from estimation.shapes.sphere import Sphere
+from estimation.shapes.suspicions import suspicions
 from estimation.shapes.torus import Torus
 from estimation.transform import FloatArray
 
 KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphere, Cylinder, Cone, Torus)}
 _SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
 _FINE: Final = 1e-11  # step that may be left with more points, in sizes and radians
+_NEARLY_RAD: Final = 0.03  # from another surface, of a cone that does not settle
+_MUCH_LARGER: Final = 100.0  # than the points spread, radii of a surface that does not settle
 _HUBER: Final = 1.345  # standard deviations: 95 % as efficient as least squares on honest data
 _ROBUST_ROUNDS: Final = 50
 _FALSE_ALARMS: Final = 0.01  # of the outlier gate, over all points together
@@ -58,6 +62,15 @@ def fit_surface(
     -----
     Covariance to first order, (J^T W J)^-1 at the minimum.
     """
+    fit = fit_without_second_thoughts(kind, points_m, sigma_m, robust)
+    flags = suspicions(fit, np.asarray(points_m, dtype=np.float64), KINDS.values(), robust)
+    return replace(fit, flags=flags + fit.flags)
+
+
+def fit_without_second_thoughts(
+    kind: str, points_m: FloatArray, sigma_m: float | FloatArray | None = None, robust: bool = False
+) -> SurfaceFit:
+    """`fit_surface` without the flags that look at its distances again: for those who compare kinds."""
     checked = checked_points(points_m, KINDS[kind], sigma_known=sigma_m is not None)
     sigma = checked_sigma(sigma_m, len(checked.points_m))
     weights = NO_WEIGHTS if sigma is None or sigma.ndim == 0 else 1.0 / sigma
@@ -81,6 +94,7 @@ def _global_minimum(
         )
     best = _refined(found[0].shape, checked, weights)
     if not best.converged:
+        refuse_simpler(best.shape, _NEARLY_RAD, _MUCH_LARGER * checked.size_m)
         raise FitRefused(
             Cause.NO_CONVERGENCE,
             f"The fit of a {kind.KIND} did not settle in {best.iterations} iterations",

@@ -22,6 +22,7 @@ class Cause(StrEnum):
     NO_REDUNDANCY = "no_redundancy"
     OUTLIERS = "outliers"
     WRONG_SURFACE = "wrong_surface"
+    FORM_ERROR = "form_error"
     UNIT_SUSPECTED = "unit_suspected"
     SCATTER_NOT_AS_STATED = "scatter_not_as_stated"
     NO_CONVERGENCE = "no_convergence"
@@ -41,7 +42,8 @@ class FitRefused(EstimationError):
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Something that the user should look at, although there is a result."""
+    """Something that the user should look at; what is flagged as spoilt is no result to use."""
 
     cause: Cause
     text: str
+    spoils: bool = False

@@ -134,6 +134,7 @@ _REFUSED: dict[str, tuple[str, FloatArray, Cause]] = {
     "a line": ("plane", np.outer(_ARC, [0.1, 0.2, 0.3]), Cause.POINTS_ON_A_LINE),
     "a circle": ("cylinder", np.column_stack([np.cos(_ARC), np.sin(_ARC), 0 * _ARC]), Cause.NEARLY_FLAT),
     "a cylinder": ("cone", cloud("cylinder", 4, count=200).points_m, Cause.SIMPLER_SURFACE),
+    "a plane": ("cone", cloud("plane", 3, count=100).points_m, Cause.SIMPLER_SURFACE),
     "noise": ("sphere", np.random.default_rng(1).normal(size=(100, 3)), Cause.WRONG_SURFACE),
 }
 
