@@ -22,6 +22,7 @@ DONGLE_S: Final = 0.001  # the CAN dongle hands frames over in bursts
 REPLY_S: Final = 0.0004  # an SDO server thinks
 BOOT_S: Final = 0.5
 KEPT_S: Final = 1.0  # frames of longer ago are lost in the receiving port
+LAST_COMMUNICATION: Final = 0x1FFF  # index; from 2000h on objects belong to the application
 PRODUCER_HEARTBEAT: Final[Key] = (0x1017, 0)
 
 
@@ -138,8 +139,11 @@ class CanopenSlave(ABC):
 
     def _network(self, command: int) -> None:
         if command in (0x81, 0x82):
+            kept = {key: value for key, value in self.values.items() if key[0] > LAST_COMMUNICATION}
             self._power_on()
             self._boot_s = self._now_s + BOOT_S
+            if command == 0x82:  # communication only: what the device does goes on
+                self.values.update(kept)
         elif self.nmt is not Nmt.INITIALISING and command in (0x01, 0x02, 0x80):
             self.nmt = {0x01: Nmt.OPERATIONAL, 0x02: Nmt.STOPPED, 0x80: Nmt.PRE_OPERATIONAL}[command]
             self._watch()

@@ -1,42 +1,19 @@
-"""Modbus registers (Application Protocol V1.1b3), and an RTU slave: frames end with 3.5 bytes of silence.
+"""A Modbus RTU slave: frames end with 3.5 bytes of silence.
 
-Written without the library that the drivers use. Silent on wrong CRC, on another unit and after a broadcast.
+Silent on wrong CRC, on another unit and after a broadcast.
 """
 
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final
 
+from simulators.modbus_pdu import READS, Registers, answer_pdu
 from simulators.uart import Uart
 
-ILLEGAL_FUNCTION: Final = 1
-ILLEGAL_ADDRESS: Final = 2
-ILLEGAL_VALUE: Final = 3
 BROADCAST: Final = 0
 LONGEST_FRAME: Final = 256
 SHORTEST_GAP_S: Final = 0.00175  # above 19200 baud
-MOST_READ: Final = 125
-MOST_WRITTEN: Final = 123
-READS: Final = (3, 4)
-
-
-class Refused(Exception):
-    """The request gets an exception answer with this code; never leaves the simulator."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"exception {code}")
-        self.code = code
-
-
-class Registers(Protocol):
-    """What a device holds; both raise Refused. Addresses are those on the wire."""
-
-    def read(self, function: int, address: int, count: int, time_s: float) -> Sequence[int]:
-        """Words of 16 bits."""
-
-    def write(self, address: int, words: Sequence[int], time_s: float) -> None:
-        """Take over words."""
 
 
 def crc(data: bytes) -> bytes:
@@ -59,37 +36,6 @@ def answer(frame: bytes, unit: int, functions: Sequence[int], registers: Registe
         return b""
     reply = bytes([unit]) + answer_pdu(frame[1:-2], functions, registers, time_s)
     return b"" if frame[0] == BROADCAST else reply + crc(reply)
-
-
-def answer_pdu(pdu: bytes, functions: Sequence[int], registers: Registers, time_s: float) -> bytes:
-    """The answer to a function with its parameters, good or refused."""
-    function = pdu[0]
-    try:
-        if function not in functions:
-            raise Refused(ILLEGAL_FUNCTION)
-        return bytes([function]) + _execute(function, pdu[1:], registers, time_s)
-    except Refused as refused:
-        return bytes([function | 0x80, refused.code])
-
-
-def _execute(function: int, body: bytes, registers: Registers, time_s: float) -> bytes:
-    if len(body) < 4:
-        raise Refused(ILLEGAL_VALUE)
-    address, count = struct.unpack_from(">HH", body)
-    if function in READS:
-        if len(body) != 4 or not 1 <= count <= MOST_READ:
-            raise Refused(ILLEGAL_VALUE)
-        words = registers.read(function, address, count, time_s)
-        return bytes([2 * count]) + struct.pack(f">{count}H", *words)
-    if function == 6:
-        if len(body) != 4:
-            raise Refused(ILLEGAL_VALUE)
-        registers.write(address, [count], time_s)
-        return body
-    if not 1 <= count <= MOST_WRITTEN or len(body) != 5 + 2 * count or body[4] != 2 * count:
-        raise Refused(ILLEGAL_VALUE)
-    registers.write(address, struct.unpack_from(f">{count}H", body, 5), time_s)
-    return body[:4]
 
 
 class FrameGap:

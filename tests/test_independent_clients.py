@@ -15,8 +15,8 @@ from canopen.profiles.p402 import BaseNode402
 from pyModbusTCP.client import ModbusClient
 
 from estimation.transform import FloatArray
-from simulators.modbus_server import ModbusConnection
-from simulators.probes.adam6052 import Adam6052
+from simulators.modbus_tcp_slave import RegisterConnection
+from simulators.probes.adam6052 import FUNCTIONS, Adam6052
 from simulators.probes.wago750 import Wago750, WagoSpec
 from simulators.registry import device_kind
 from simulators.sensors.ams335i import Ams335i, AmsSpec
@@ -274,8 +274,8 @@ def test_pymodbustcp_reads_the_profiler() -> None:
 
 
 def test_pymodbustcp_reads_the_remote_io() -> None:
-    module = Adam6052(Contact(), 0x6052, 0, 0.001)
-    with on_tcp_port(lambda: ModbusConnection(module)) as port:
+    module = Adam6052(Contact(), 0x6052, 0)
+    with on_tcp_port(lambda: RegisterConnection(module, FUNCTIONS, 0.001)) as port:
         client = ModbusClient("127.0.0.1", port, timeout=10.0)
         module._switch.closed, module._switch.count = True, 70_000
         assert client.read_discrete_inputs(0, 8) == [True] + [False] * 7

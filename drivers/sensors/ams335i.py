@@ -22,7 +22,8 @@ POSITION_AND_STATUS: Final = 2  # number of the PDO
 ERROR_CHOICE: Final = 0x2070
 OPERATING: Final = 0x6000
 REVERSED: Final = 1 << 3
-FAULTS: Final = {8: "laser off", 16: "implausible value"}  # bits of the status in which there is no value
+# Bits of the status in which there is no value. A preset counts from a place that no cell file knows.
+FAULTS: Final = {8: "laser off", 9: "preset active", 16: "implausible value"}
 _PDO: Final = struct.Struct("<iI")
 
 
@@ -107,7 +108,10 @@ class Ams335i(PolledRange):
         reasons = [words for bit, words in FAULTS.items() if status >> bit & 1]
         if reasons:
             return no_value(frame.time_s, reasons[0])
-        return Answer(config.range_start_m + position * config.step_m, frame.time_s)
+        distance_m = config.range_start_m + position * config.step_m
+        if position == 0 or distance_m <= 0.0:  # what is shown instead of a value, or counted backwards
+            return no_value(frame.time_s, f"position {position}")
+        return Answer(distance_m, frame.time_s)
 
     def _heard(self, frame: CanFrame) -> None:
         """Only the PDO that has the status beside the position counts."""

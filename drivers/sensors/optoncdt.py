@@ -83,6 +83,7 @@ class OptoncdtLaser:
             f"MEASRATE {config.rate_hz / 1000:g}",
             "OUTREDUCEDEVICE NONE",
             "OUTADD_RS422 NONE",
+            "MASTERMV NONE",  # a mastered sensor counts from elsewhere, in another scale
             "OUTPUT RS422",
         ):
             self._command(command)

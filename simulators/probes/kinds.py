@@ -7,8 +7,8 @@ import numpy as np
 
 from estimation.transform import FloatArray
 from simulators.device_kind import DeviceKind, Settings, Simulated, on_can_bus, on_serial_line
-from simulators.modbus_server import ModbusConnection
-from simulators.probes.adam6052 import Adam6052
+from simulators.modbus_tcp_slave import RegisterConnection
+from simulators.probes.adam6052 import FUNCTIONS, Adam6052
 from simulators.probes.switch import Switch
 from simulators.probes.wago750 import Wago750, WagoSpec
 from simulators.sensors.beam import Beam
@@ -88,8 +88,9 @@ def _rising(low: float, high: float, settings: Settings, rng: np.random.Generato
 
 def _adam(settings: Settings, stylus: Stylus) -> Simulated:
     model, channel = int(str(settings["model"]), 16), int(settings["channel"])
-    module = Adam6052(stylus.switch, model, channel, float(settings["reply_delay_ms"]) / 1000)
-    return Simulated(module, {"": lambda: ModbusConnection(module)}, restart=lambda time_s: module.restart())
+    module, reply_s = Adam6052(stylus.switch, model, channel), float(settings["reply_delay_ms"]) / 1000
+    connections = {"": lambda: RegisterConnection(module, FUNCTIONS, reply_s)}
+    return Simulated(module, connections, restart=lambda time_s: module.restart())
 
 
 def _wago(settings: Settings, stylus: Stylus) -> Simulated:

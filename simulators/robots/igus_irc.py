@@ -6,23 +6,21 @@ Actions happen on a rising edge of a coil; nothing is queued; positions come in 
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from pymodbus.constants import ExcCodes
-from pymodbus.pdu import ExceptionResponse, ModbusPDU
-from pymodbus.pdu import bit_message as bits
-from pymodbus.pdu import register_message as registers
 from scipy.spatial.transform import Rotation
 
 from estimation.transform import FloatArray
 from simulators.interfaces import ByteDevice
-from simulators.modbus_server import ModbusConnection
+from simulators.modbus_pdu import ILLEGAL_ADDRESS, Refused
+from simulators.modbus_tcp_slave import RegisterConnection
 from simulators.robots.controlled_arm import ControlledArm
 from simulators.world.world_file import ArmSpec
 
+FUNCTIONS: Final = (1, 2, 3, 4, 5, 6, 16)
 COILS: Final = range(0, 428)
 INPUTS: Final = range(0, 432)
 HOLDINGS: Final = range(0, 299)
@@ -70,13 +68,8 @@ class IgusRobot(ControlledArm):
         self._rest_s = self._begin_s = -math.inf  # between them, a move was taken and has not begun
         self._permitted = True
 
-    @property
-    def reply_delay_s(self) -> float:
-        """From request to answer."""
-        return self.settings.reply_s
-
     def connections(self) -> dict[str, Callable[[], ByteDevice]]:
-        return {"": lambda: ModbusConnection(self)}
+        return {"": lambda: RegisterConnection(self, FUNCTIONS, self.settings.reply_s)}
 
     # -- what happens to it ----------------------------------------------------------------------
 
@@ -99,34 +92,26 @@ class IgusRobot(ControlledArm):
 
     # -- Modbus ----------------------------------------------------------------------------------
 
-    def answer(self, request: ModbusPDU, time_s: float) -> ModbusPDU:
-        """What the controller says to a request, at that instant."""
-        code, address, count = request.function_code, request.address, request.count
-        if code in (1, 2):
-            if not _inside(address, count, COILS):
-                return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS)
-            states = [self._bit(address + i, time_s) for i in range(count)]
-            kind = bits.ReadCoilsResponse if code == 1 else bits.ReadDiscreteInputsResponse
-            return kind(bits=states)
-        if code in (3, 4):
-            if not _inside(address, count, HOLDINGS if code == 3 else INPUTS):
-                return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS)
-            words = self._holding if code == 3 else self._inputs(time_s)
-            reading: Any = (
-                registers.ReadHoldingRegistersResponse if code == 3 else registers.ReadInputRegistersResponse
-            )
-            return reading(registers=words[address : address + count])  # type: ignore[no-any-return]
-        if code == 5 and address in self._coils:
-            self._write_coil(address, bool(request.bits[0]), time_s)
-            return bits.WriteSingleCoilResponse(address=address, bits=request.bits)
-        if code == 6 and address in HOLDINGS:
-            self._holding[address] = request.registers[0]
-            return registers.WriteSingleRegisterResponse(address=address, registers=request.registers)
-        if code == 16 and _inside(address, len(request.registers), HOLDINGS):
-            self._holding[address : address + len(request.registers)] = request.registers
-            return registers.WriteMultipleRegistersResponse(address=address, count=len(request.registers))
-        known = code in (5, 6, 16)
-        return ExceptionResponse(code, ExcCodes.ILLEGAL_ADDRESS if known else ExcCodes.ILLEGAL_FUNCTION)
+    def read_bits(self, function: int, address: int, count: int, time_s: float) -> Sequence[bool]:
+        """Coils and discrete inputs, which are the same."""
+        _refuse_outside(address, count, COILS)
+        return [self._bit(address + i, time_s) for i in range(count)]
+
+    def write_bits(self, address: int, states: Sequence[bool], time_s: float) -> None:
+        """The coils that act."""
+        if address not in self._coils:
+            raise Refused(ILLEGAL_ADDRESS)
+        self._write_coil(address, states[0], time_s)
+
+    def read(self, function: int, address: int, count: int, time_s: float) -> Sequence[int]:
+        """Holding registers (function 3) or input registers."""
+        _refuse_outside(address, count, HOLDINGS if function == 3 else INPUTS)
+        return (self._holding if function == 3 else self._inputs(time_s))[address : address + count]
+
+    def write(self, address: int, words: Sequence[int], time_s: float) -> None:
+        """Holding registers."""
+        _refuse_outside(address, len(words), HOLDINGS)
+        self._holding[address : address + len(words)] = words
 
     def _bit(self, address: int, time_s: float) -> bool:
         match address:
@@ -208,8 +193,9 @@ class IgusRobot(ControlledArm):
         self._rest_s, self._begin_s = rest_s, begin_s
 
 
-def _inside(address: int, count: int, table: range) -> bool:
-    return count > 0 and address in table and address + count - 1 in table
+def _refuse_outside(address: int, count: int, table: range) -> None:
+    if address not in table or address + count - 1 not in table:
+        raise Refused(ILLEGAL_ADDRESS)
 
 
 def _words(values: list[float]) -> list[int]:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.transform import FloatArray
-from simulators.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, FrameGap, Refused, answer, crc
+from simulators.modbus_pdu import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Refused
+from simulators.modbus_slave import FrameGap, answer, crc
 from simulators.uart import CONVERTER_S, Uart
 
 UNIT: Final = 9

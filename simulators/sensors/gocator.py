@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from simulators.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Refused
+from simulators.modbus_pdu import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Refused
 from simulators.modbus_tcp_slave import RegisterConnection
 from simulators.sensors.beam import Beam
 

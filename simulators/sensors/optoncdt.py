@@ -37,7 +37,7 @@ CHOICES: Final[dict[str, tuple[str, ...]]] = {
     "LASERPOW": ("FULL", "OFF"),
     "LANGUAGE": ("EN", "DE", "CN"),
     "TRIGGER": ("NONE",),
-    "MASTERMV": ("NONE",),
+    "MASTERMV": ("NONE",),  # and MASTER with a value
 }
 POWER_ON: Final[dict[str, str]] = {
     "OUTPUT": "RS422",  # a sensor comes up measuring
@@ -77,6 +77,7 @@ class OptoNcdt1420:
         self._scale, self._offset_m = scale, offset_m
         self._noise_m = spec.reading_noise_m * noise_factor
         self._settings = {**POWER_ON, "BAUDRATE": str(spec.baud)}
+        self._mastered_m: float | None = None  # what is added to a distance
         self._input = b""
         self._output: deque[tuple[float, bytes]] = deque()
         self._up_s = 0.0  # when it has booted
@@ -135,9 +136,13 @@ class OptoNcdt1420:
         noise = self._rng.standard_normal(len(times_s)) * self._noise_m
         true_m = self._beam.beam_lengths_m(times_s)
         reading_m = (true_m - self._offset_m) / (1 + self._scale) + noise
-        share = (reading_m - self._spec.range_start_m) / self._spec.range_m
-        code = np.rint((share * 100 + 1) * (LARGEST_DISTANCE / 102))
+        distance_m = reading_m - self._spec.range_start_m
+        percent = distance_m / self._spec.range_m * 100
+        code = np.rint((percent + 1) * (LARGEST_DISTANCE / 102))
         errors = [np.isnan(code), code < 0, code > LARGEST_DISTANCE]
+        if self._mastered_m is not None:
+            percent += self._mastered_m / self._spec.range_m * 100
+            code = np.rint((percent + 51) * (LARGEST_DISTANCE / 102))
         code = np.select(errors, [NO_PEAK, BEFORE_RANGE, BEHIND_RANGE], default=code)
         return code.astype(np.int64)
 
@@ -195,6 +200,10 @@ class OptoNcdt1420:
         if not words:
             return "\r\n"
         name, parameters = words[0].upper(), [word.upper() for word in words[1:]]
+        if name == "MASTERMV" and len(parameters) == 2:
+            return self._master(parameters, time_s)
+        if name == "MASTERMV" and parameters == ["NONE"]:
+            self._mastered_m = None
         if name in CHOICES:
             return self._setting(name, parameters, time_s)
         if name in ("GETINFO", "PRINT", "HELP", "RESET", "GETUSERLEVEL", "RESETCNT") and parameters:
@@ -217,6 +226,7 @@ class OptoNcdt1420:
     def restart(self, time_s: float) -> None:
         """Power comes back: run-time settings are lost, and it measures."""
         self._settings = {**POWER_ON, "BAUDRATE": str(self._spec.baud)}
+        self._mastered_m = None
         self._input = b""
         self._output.clear()
         self._up_s = time_s + RESET_S
@@ -235,6 +245,18 @@ class OptoNcdt1420:
         if parameters and self._settings["ECHO"] == "OFF":
             return ""
         return f"{name} {self._settings[name]}\r\n"
+
+    def _master(self, parameters: list[str], time_s: float) -> str:
+        """The present distance is to count as that many millimetres."""
+        what, value = parameters
+        if what != "MASTER" or not value.replace(".", "", 1).isdecimal():
+            return "E236 Value is out of range or the format is invalid\r\n"
+        distance_m = float(self._beam.beam_lengths_m(np.array([time_s]))[0]) - self._spec.range_start_m
+        if not 0 <= distance_m <= self._spec.range_m:
+            return "E104 Timeout\r\n"
+        self._mastered_m = float(value) / 1000 - distance_m
+        self._settings["MASTERMV"] = f"MASTER {value}"
+        return f"MASTERMV MASTER {value}\r\n"
 
     def _information(self) -> str:
         spec = self._spec

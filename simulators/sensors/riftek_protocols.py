@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final, Protocol
 
-from simulators.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Refused, answer
+from simulators.modbus_pdu import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Refused
+from simulators.modbus_slave import answer
 from simulators.sensors.riftek_head import (
     ADDRESS,
     AVERAGES,

@@ -158,6 +158,17 @@ def test_boot_up_heartbeat_and_lost_settings(station: Bus) -> None:
     assert station.sdo("40 17 10 00 00 00 00 00") == "594 [8] 4B 17 10 00 00 00 00 00"
 
 
+def test_reset_of_communication_keeps_what_belongs_to_the_application(station: Bus) -> None:
+    station.write(0x1017, 0, 50, 2)
+    station.write(0x6206, 1, 0x0F, 1)
+    station.send(0x000, "82 14")
+    assert station.wait(1.0) == ["714 [1] 00"]  # and no heartbeat
+    assert station.sdo("40 06 62 01 00 00 00 00").endswith("4F 06 62 01 0F 00 00 00")
+    station.send(0x000, "81 14")
+    station.wait(1.0)
+    assert station.sdo("40 06 62 01 00 00 00 00").endswith("4F 06 62 01 FF 00 00 00")
+
+
 def test_refusals(station: Bus) -> None:
     assert station.sdo("40 99 60 00 00 00 00 00").endswith("00 00 02 06")
     assert station.write(0x6000, 1, 1, 1) == "02 00 01 06"

@@ -76,8 +76,21 @@ def test_a_laser_that_is_off_gives_no_value(bench: Bench) -> None:
     bench.sensor.extra_status = 1 << 8
     bench.laser.begin_window()
     assert bench.laser.end_window(1).rejected_kinds == ("laser off",)
+    bench.sensor.extra_status = 1 << 9
+    bench.laser.begin_window()
+    assert bench.laser.end_window(1).rejected_kinds == ("preset active",)
     bench.sensor.extra_status = 1 << 13  # a weak signal is still one
     assert len(bench.measure(1)) == 1
+
+
+def test_a_zero_instead_of_a_value_is_none_whatever_the_status_says(bench: Bench) -> None:
+    bench.target.m = math.nan
+    bench.sensor.values[0x2070, 0] = 1 | 4 | 8  # hidden again, by whoever else is on the bus
+    bench.sensor._good = 0
+    bench.clock.sleep(0.05)
+    bench.sensor._good_s = bench.clock.now_s()
+    bench.laser.begin_window()
+    assert bench.laser.end_window(1).rejected_kinds == ("position 0",)
 
 
 def test_a_late_answer_is_not_that_to_the_next_sync(bench: Bench) -> None:

@@ -86,7 +86,8 @@ def test_connect_silences_compares_configures_and_starts() -> None:
     )
     assert [line.decode().strip() for line in link.sent] == [
         "OUTPUT NONE", "OUTPUT NONE", "OUTPUT NONE",
-        "GETINFO", "MEASRATE 2", "OUTREDUCEDEVICE NONE", "OUTADD_RS422 NONE", "OUTPUT RS422",
+        "GETINFO", "MEASRATE 2", "OUTREDUCEDEVICE NONE", "OUTADD_RS422 NONE", "MASTERMV NONE",
+        "OUTPUT RS422",
     ]  # fmt: skip
 
 

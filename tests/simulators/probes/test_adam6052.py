@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.modbus_server import ModbusConnection
-from simulators.probes.adam6052 import Adam6052
+from simulators.modbus_tcp_slave import RegisterConnection
+from simulators.probes.adam6052 import FUNCTIONS, Adam6052
 
 DELAY_S = 0.0015
 
@@ -21,8 +21,8 @@ class Switch:
 class Client:
     def __init__(self, channel: int = 0) -> None:
         self.switch = Switch()
-        self.module = Adam6052(self.switch, 0x6052, channel, DELAY_S)
-        self.connection = ModbusConnection(self.module)
+        self.module = Adam6052(self.switch, 0x6052, channel)
+        self.connection = RegisterConnection(self.module, FUNCTIONS, DELAY_S)
         self.time_s = 0.0
 
     def ask(self, request: str) -> str:
@@ -79,12 +79,24 @@ def test_outputs_by_coil_and_by_word() -> None:
         ("00 01 00 00 00 06 01 05 00 00 FF 00", "00 01 00 00 00 03 01 85 02"),  # an input is no coil
         ("00 01 00 00 00 06 01 06 00 00 00 01", "00 01 00 00 00 03 01 86 02"),  # a counter is not written
         ("00 01 00 00 00 02 01 63", "00 01 00 00 00 03 01 E3 01"),
+        ("00 01 00 00 00 06 01 04 00 00 00 00", "00 01 00 00 00 03 01 84 03"),  # no register
+        ("00 01 00 00 00 06 01 03 00 00 00 7E", "00 01 00 00 00 03 01 83 03"),  # more than fit in a frame
+        ("00 01 00 00 00 06 01 02 00 00 07 D1", "00 01 00 00 00 03 01 82 03"),
+        ("00 01 00 00 00 06 01 05 00 10 00 01", "00 01 00 00 00 03 01 85 03"),  # neither on nor off
+        ("00 01 00 00 00 08 01 0F 00 10 00 09 01 05", "00 01 00 00 00 03 01 8F 03"),  # a byte is missing
+        ("00 01 00 00 00 09 01 10 01 2E 00 01 04 00 80", "00 01 00 00 00 03 01 90 03"),
     ],
 )
 def test_refusals(request_: str, answer: str) -> None:
     client = Client()
     assert client.ask(request_) == answer
     assert client.ask("00 02 00 00 00 06 01 04 00 00 00 02").startswith("00 02")
+
+
+def test_what_is_refused_is_not_half_done() -> None:
+    client = Client()
+    assert client.ask("00 01 00 00 00 08 01 0F 00 16 00 04 01 0F").endswith("8F 02")  # two of four exist
+    assert client.ask("00 02 00 00 00 06 01 01 00 10 00 08").endswith("01 01 01 00")
 
 
 @given(st.integers(1, 30))

@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.sensors.optoncdt import LaserConfig, OptoncdtLaser
 from estimation.transform import FloatArray
 from simulators.sensors.optoncdt import OptoNcdt1420, encode_values
+from simulators.virtual import VirtualByteLink, VirtualClock
 from simulators.world.truth import stream
 from simulators.world.world_file import WorldFile
 
@@ -177,3 +179,29 @@ def test_the_laser_can_be_switched_off(line: Line) -> None:
     line.command("LASERPOW OFF")
     line.command("OUTPUT RS422")
     assert set(values(line.wait(0.05)).tolist()) == {262082}
+
+
+def test_a_mastered_sensor_counts_on_from_the_master_value_in_another_scale(line: Line, beam: Beam) -> None:
+    """d = ((x 102 / 65520) - 51) / 100 MR, 18 bits."""
+    assert line.command("MASTERMV MASTER 20").startswith("MASTERMV MASTER 20\r\n")
+    beam.length_m += 0.010
+    line.command("OUTPUT RS422")
+    (number,) = set(values(line.wait(0.1)).tolist())
+    assert (number * 102 / 65520 - 51) / 100 * line.laser._spec.range_m == pytest.approx(0.030, abs=1e-6)
+    line.command("OUTPUT NONE")
+    line.command("MASTERMV NONE")
+    line.command("OUTPUT RS422")
+    assert max(values(line.wait(0.1))) <= 65520
+
+
+def test_a_driver_reads_true_distances_from_a_sensor_that_was_left_mastered(
+    world_file: WorldFile, beam: Beam
+) -> None:
+    clock, spec = VirtualClock(), world_file.laser
+    sensor = OptoNcdt1420(spec, beam, 0.0, 0.0, stream(1, "test"), noise_factor=0.0)
+    sensor.receive(b"MASTERMV MASTER 5\n", 0.0)
+    config = LaserConfig(range_m=spec.range_m, range_start_m=spec.range_start_m, baud=spec.baud)
+    laser = OptoncdtLaser(VirtualByteLink("laser", clock, lambda: sensor), config, clock)
+    laser.connect()
+    laser.begin_window()
+    assert laser.end_window(5).distance_m == pytest.approx(beam.length_m, abs=2e-6)
