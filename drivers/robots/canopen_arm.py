@@ -119,15 +119,18 @@ class CanopenArm:
         self._master.stop_keeper()
         if self._connected:
             self._connected = False
+            disabled = False
             with contextlib.suppress(DeviceError), self._master.foreground():
                 self._halt_and_wait()
                 for controlword in (codec.SHUTDOWN, codec.DISABLE_VOLTAGE):
                     self._send_controlword([controlword] * self._joints)
                     self._master.next_sample(in_fault=True)
-                    self._master.next_sample(in_fault=True)
+                    sample = self._master.next_sample(in_fault=True)
+                disabled = all(codec.drive_state(word) in codec.POWERLESS for word in sample.statuswords)
             self._master.stop_sync()
-            with contextlib.suppress(DeviceError):
-                self._setup.release()
+            if disabled:  # else the drives go on to expect our heartbeat, and stop without it
+                with contextlib.suppress(DeviceError):
+                    self._setup.release()
         self._link.close()
 
     def health(self) -> LinkHealth:

@@ -319,6 +319,15 @@ def test_close_leaves_the_drives_disabled_and_is_safe_twice() -> None:
         arm.read_joints(1)
 
 
+def test_close_leaves_drives_that_may_be_enabled_waiting_for_a_heartbeat() -> None:
+    """They stop without it, whatever becomes of the bus."""
+    arm, link, _ = connected()
+    link.drives[3].objects[0x1016, 1] = bytes.fromhex("c8000100")
+    link.drives[8].silent = True
+    arm.close()
+    assert link.drives[3].objects[0x1016, 1] == bytes.fromhex("c8000100")
+
+
 def test_a_pause_in_which_nobody_pumps_is_no_lost_node() -> None:
     arm, _, clock = connected()
     clock.sleep(3.0)
