@@ -7,6 +7,11 @@ from pathlib import Path
 from estimation.errors import StoreError
 
 
+def lock_of(store: Path) -> Path:
+    """The lock file beside a store."""
+    return store.with_name(store.name + ".lock")
+
+
 class OwnerLock:
     """Holds `path` exclusively until `release` or the end of this process."""
 

@@ -13,7 +13,7 @@ from typing import Final, Self
 import sqlalchemy as sa
 
 from controller.store import audit, database, rows, schema
-from controller.store.lock import OwnerLock
+from controller.store.lock import OwnerLock, lock_of
 from controller.store.records import (
     Event,
     JsonObject,
@@ -85,7 +85,7 @@ class Store:
         if not in_memory and not read_only:
             path.parent.mkdir(parents=True, exist_ok=True)
             since = datetime.fromtimestamp(clock.utc_s(), UTC).isoformat(timespec="seconds")
-            lock = OwnerLock(path.with_name(path.name + ".lock"), f"process {getpid()} since {since}")
+            lock = OwnerLock(lock_of(path), f"process {getpid()} since {since}")
         try:
             connection = database.connect(path, durable and not in_memory, read_only)
             store = cls(path, connection, clock, lock, read_only)

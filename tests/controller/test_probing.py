@@ -1,6 +1,7 @@
 """`truecell devices probe`: what it shows, what it says of a missing device, and that nothing moves."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ from controller.console.app import main
 from controller.console.exit_codes import ExitCode
 from controller.demo_cell import copy_bench_block
 from controller.probing import Seen, probe_devices
+from controller.service import STORE_NAME
+from controller.store.store import Store
 from drivers.robots.canopen_arm_codec import RPDO
 from simulators.virtual import VirtualByteLink, VirtualCanLink
 from tests.support.deterministic import DeterministicCell
@@ -127,6 +130,18 @@ def test_on_real_ports_and_with_a_wrong_baud_rate(capsys: pytest.CaptureFixture[
             assert "Laser: no valid answer at 460800 8N1" in out
         finally:
             simulators.terminate()
+
+
+def test_the_devices_of_a_daemon_are_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """On TCP and SocketCAN nothing else would keep two masters apart."""
+    path = copy_bench_block(tmp_path, ())
+    store = Store.open(path.parent / ".truecell" / STORE_NAME)
+    try:
+        code, _, err = run(capsys, "devices", "probe", str(path))
+    finally:
+        store.close()
+    assert code is ExitCode.REFUSED
+    assert err.startswith("The devices of this cell are in use") and f"process {os.getpid()}" in err
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[ExitCode, str, str]:
