@@ -26,7 +26,7 @@ _ROUNDING: Final = 1e-14  # of the cost
 _ROUNDING_M: Final = 1e-15  # of a residual, coordinates being of the size of a metre
 _POLISHING_STEPS: Final = 3
 _LARGEST_DAMPING: Final = 1e12
-_NEAR_START: Final = "Check that the nominal poses in the cell file are near the real ones, and the readings"
+_NEAR_START: Final = "Check that the nominal poses are near the real ones, and the readings"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -114,7 +114,7 @@ class Result:
     def update(self) -> Update:
         """The estimate; raises TaskRefused when there is none."""
         if self.estimate is None:
-            causes = "; ".join(str(finding) for finding in self.findings)
+            causes = "; ".join(str(finding).rstrip(".") for finding in self.findings)
             raise TaskRefused(f"{self.task} was refused: {causes}", "Mend the data, then estimate again")
         return self.estimate
 
