@@ -6,10 +6,11 @@ from typing import Final
 import numpy as np
 
 from estimation.shapes.checks import checked_points
-from estimation.shapes.fit import KINDS, fit_surface, fit_without_second_thoughts, spread
+from estimation.shapes.fit import KINDS, SAMPLE, fit_surface, fit_without_second_thoughts
 from estimation.shapes.plane import Plane
 from estimation.shapes.refusals import Cause, FitRefused
 from estimation.shapes.result import SurfaceFit
+from estimation.shapes.sampling import spread
 from estimation.shapes.suspicions import RESOLUTION
 from estimation.transform import FloatArray
 
@@ -33,7 +34,7 @@ def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = F
     Arguments as of `fit_surface`. Raises FitRefused where no kind fits, or where two kinds fit equally well.
     """
     points = checked_points(points_m, Plane, sigma_known=False).points_m
-    sample = points[spread(len(points))]
+    sample = points[spread(len(points), SAMPLE)]
     count = len(sample)
     floor_m = RESOLUTION * float(np.abs(sample).max())
     tried: list[tuple[float, str, float]] = []

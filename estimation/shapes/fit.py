@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from estimation.shapes.checks import (
@@ -23,6 +22,7 @@ from estimation.shapes.passes import NO_WEIGHTS
 from estimation.shapes.plane import Plane
 from estimation.shapes.refusals import Cause, FitRefused
 from estimation.shapes.result import SurfaceFit
+from estimation.shapes.sampling import spread
 from estimation.shapes.shape import Shape
 from estimation.shapes.sphere import Sphere
 from estimation.shapes.suspicions import suspicions
@@ -30,7 +30,7 @@ from estimation.shapes.torus import Torus
 from estimation.transform import FloatArray
 
 KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphere, Cylinder, Cone, Torus)}
-_SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
+SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
 _FINE: Final = 1e-11  # step that may be left with more points, in sizes and radians
 _NEARLY_RAD: Final = 0.03  # from another surface, of a cone that does not settle
 _MUCH_LARGER: Final = 100.0  # than the points spread, radii of a surface that does not settle
@@ -86,7 +86,7 @@ def _global_minimum(
     """The lowest minimum for all points, and the cost of the next one over its cost."""
     points = checked.points_m
     count = len(points)
-    places = spread(count)
+    places = spread(count, SAMPLE)
     found = minima(kind, points[places], weights[places] if len(weights) else NO_WEIGHTS)
     if not found:
         raise FitRefused(
@@ -117,17 +117,9 @@ def _global_minimum(
 def _refined(start: Shape, checked: Points, weights: FloatArray) -> Optimum:
     centroid = checked.centroid_m
     # With many points a step to the last digit is not worth its pass.
-    tolerance = FINEST if len(checked.points_m) <= _SAMPLE else _FINE
+    tolerance = FINEST if len(checked.points_m) <= SAMPLE else _FINE
     found = minimise(start.settled(centroid), checked.points_m, weights, checked.size_m, tolerance)
     return replace(found, shape=found.shape.settled(centroid))
-
-
-def spread(count: int) -> NDArray[np.intp]:
-    """Places of a sample of at most `_SAMPLE` points, even but in step with no regular scan."""
-    if count <= _SAMPLE:
-        return np.arange(count)
-    golden = (np.sqrt(5.0) - 1.0) / 2.0
-    return np.unique((np.arange(_SAMPLE) * golden % 1.0 * count).astype(np.intp))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -76,6 +76,11 @@ class SurfaceFit:
     _information: FloatArray
 
     @property
+    def weights(self) -> FloatArray:
+        """(n,) 1 over the standard deviations that were given, 0 for rejected points; (0,) for equal ones."""
+        return self._weights
+
+    @property
     def surface(self) -> str:
         """ "plane", "sphere", "cylinder", "cone" or "torus"."""
         return self.shape.KIND

@@ -1,6 +1,7 @@
 """What the distances of a finished fit give away: another surface, points far off, points told twice."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,14 +10,18 @@ from scipy.spatial import cKDTree
 from scipy.special import fdtrc, stdtrit
 
 from estimation.shapes.optimum import minima, minimise
+from estimation.shapes.passes import NO_WEIGHTS
 from estimation.shapes.refusals import Cause, Flag
 from estimation.shapes.result import SurfaceFit
+from estimation.shapes.sampling import distinct_share, spread, step_of
 from estimation.shapes.shape import Shape
 from estimation.transform import FloatArray
 
 RESOLUTION: Final = 1.2e-7  # of the largest coordinate: meshes and clouds are stored in single precision
-_ALL: Final = 100_000  # of more points one far off has no weight, and many show in a sample
-_SAMPLE: Final = 5_000
+_ALL: Final = 100_000  # points that are looked at one by one
+_MANY: Final = 10_000  # of more points, unless these scatter less than all do
+_ODD: Final = 1.05
+_SAMPLE: Final = 2_000  # points whose neighbours are compared
 _MOST_COMPARED: Final = 300  # points through which other kinds are laid
 _FEW: Final = 60  # of which neighbours tell little: other kinds are tried if the points lie off at all
 _OFF: Final = 0.001  # rms over size
@@ -29,10 +34,34 @@ _CHANCE: Final = 1e-6
 _COARSE: Final = 0.005  # rms over size: a form error is smaller, another surface is not
 _NEAR: Final = 2.5  # times the scale
 _FAR: Final = 10.0  # times the scale of the others
+_GROSS: Final = 20.0  # beyond what the tails of any sensor reach
 _ENOUGH: Final = 10  # points a freedom from which the median distance is a scale
+_MOST_OUTLIERS: Final = 0.10  # more are no outliers, but another scatter
 _OUTLIER_CHANCE: Final = 1e-4  # over all points together
 _NAMED: Final = 5  # points by their number
 _SCALE_OF_MEDIAN: Final = 1.4826
+_FACING: Final = 0.5  # of the largest component of the normals: rounding across the surface says nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Points (n, 3), their weights (n,) with a median of 1, and the distance that is only rounding, m."""
+
+    shape: Shape
+    points_m: FloatArray
+    weights: FloatArray
+    floor_m: float
+
+    def at(self, places: NDArray[np.intp]) -> "_Seen":
+        return _Seen(self.shape, self.points_m[places], self.weights[places], self.floor_m)
+
+    @property
+    def size_m(self) -> float:
+        return float(np.sqrt(np.sum(np.var(self.points_m, axis=0))))
+
+    def distance(self, shape: Shape) -> FloatArray:
+        """Weighted, (n,)."""
+        return np.asarray(self.weights * shape.distance(self.points_m))
 
 
 def suspicions(
@@ -41,40 +70,53 @@ def suspicions(
     """What to look at, for a fit to points (n, 3), m, whose other possible surfaces are `kinds`.
 
     None of it needs a stated standard deviation, which could be compared with the scatter. Distances below
-    the resolution of single precision are rounding and say nothing.
+    the step of the coordinates, or the resolution of single precision, are rounding and say nothing.
     """
-    places = np.arange(0, len(points_m), 1 if len(points_m) <= _ALL else -(-len(points_m) // _SAMPLE))
-    places = np.setdiff1d(places, fit.rejected, assume_unique=True)
-    points = points_m[places]
-    sample = points[:: -(-len(points) // _SAMPLE)]
-    floor_m = RESOLUTION * float(np.abs(sample).max())
-    flags = _repeated(sample, len(fit.shape.FREEDOMS))
-    if fit.rms_m > floor_m and fit.redundancy > 0:
+    flags = _repeated(points_m, len(fit.shape.FREEDOMS))
+    if fit.redundancy <= 0:
+        return tuple(flags)
+    places = spread(len(points_m), len(points_m) if len(points_m) <= _ALL else _MANY)
+    seen = _seen(fit, points_m, places)
+    if len(places) < len(points_m) and fit.rms_m > _ODD * _rms(fit.shape.distance(seen.points_m)):
+        places = np.arange(len(points_m))
+        seen = _seen(fit, points_m, places)
+    if fit.rms_m > seen.floor_m:
         if not robust:
-            flags += _outliers(fit, points, places, floor_m)
+            flags += _outliers(seen, np.setdiff1d(places, fit.rejected, assume_unique=True))
         if not flags:
-            flags += _other_surface(fit, sample, kinds, floor_m)
+            flags += _other_surface(fit, seen.at(spread(len(seen.points_m), _SAMPLE)), kinds)
     return tuple(flags)
 
 
+def _seen(fit: SurfaceFit, points_m: FloatArray, places: NDArray[np.intp]) -> _Seen:
+    places = np.setdiff1d(places, fit.rejected, assume_unique=True)
+    points, given = points_m[places], fit.weights
+    weights = np.ones(len(places)) if not len(given) else given[places] / np.median(given[places])
+    some = points[spread(len(points), _SAMPLE)]
+    facing = np.sqrt(np.mean(fit.shape.normals(some) ** 2, axis=0))
+    steps = [step_of(some[:, axis]) for axis in np.flatnonzero(facing > _FACING * facing.max())]
+    return _Seen(fit.shape, points, weights, max(RESOLUTION * float(np.abs(some).max()), min(steps)))
+
+
 def _repeated(points_m: FloatArray, freedoms: int) -> list[Flag]:
-    distinct = len(np.unique(points_m, axis=0))
-    if distinct > 0.9 * len(points_m):
+    distinct, count = distinct_share(points_m, _ALL if len(points_m) <= _ALL else _MANY)
+    if distinct > 0.9 * count:
         return []
-    text = f"Only {distinct} of {len(points_m)} points are distinct, and each is taken for a measurement"
-    return [Flag(Cause.DUPLICATED_POINTS, text, spoils=distinct <= max(0.5 * len(points_m), freedoms))]
+    share = "" if count == len(points_m) else f", counted of {len(points_m)}"
+    text = f"Only {distinct} of {count} points are distinct{share}, and each is taken for a measurement"
+    return [Flag(Cause.DUPLICATED_POINTS, text, spoils=distinct <= max(0.5 * count, freedoms))]
 
 
-def _outliers(fit: SurfaceFit, points_m: FloatArray, places: NDArray[np.intp], floor_m: float) -> list[Flag]:
+def _outliers(seen: _Seen, places: NDArray[np.intp]) -> list[Flag]:
     """Points far from the others' scatter; `places` are theirs among all points.
 
     Each residual is compared with the scatter without it (externally studentised, Bonferroni), which one
     outlier cannot hide from. Several hide behind each other there, and pull the surface: they are looked for
-    from a surface through the points near the first one, by the median distance.
+    from a surface through the points near the first one, by the median distance. Distances with long tails
+    are flagged too, but only gross ones spoil the result.
     """
-    rows = fit.shape.rows(points_m)
-    residual, count, freedoms = rows[-1], len(points_m), len(rows) - 1
-    # The information of a weighted fit has other units; that of the looked-at points is as good for leverage.
+    rows = seen.shape.rows(seen.points_m) * seen.weights
+    residual, count, freedoms = rows[-1], len(seen.points_m), len(rows) - 1
     leverage = np.einsum("in,in->n", rows[:-1], np.linalg.pinv(rows[:-1] @ rows[:-1].T) @ rows[:-1])
     own = np.maximum(1.0 - leverage, 1e-9)
     dof = count - freedoms - 1
@@ -82,17 +124,21 @@ def _outliers(fit: SurfaceFit, points_m: FloatArray, places: NDArray[np.intp], f
     if dof > 0:
         without = np.maximum(float(residual @ residual) - residual**2 / own, 0.0) / dof
         limit = stdtrit(dof, 1.0 - _OUTLIER_CHANCE / (2.0 * count))
-        far |= residual**2 / own > limit**2 * (without + floor_m**2)
-    if count >= _ENOUGH * freedoms and not far.any():
-        near = np.abs(residual) <= _NEAR * _scale(residual)
-        inner = minimise(fit.shape, points_m[near], size_m=_size(points_m), tolerance=1e-6)
-        distance = inner.shape.distance(points_m)
-        beyond = np.abs(distance) > _FAR * (_scale(distance) + floor_m)
-        if beyond.any():
-            far, residual = beyond, distance
-    if not far.any():
+        far = residual**2 / own > limit**2 * (without + seen.floor_m**2)
+    many = count >= _ENOUGH * freedoms
+    near = np.abs(residual) <= _NEAR * (_scale(residual) + seen.floor_m) if many else ~far
+    if near.all():
         return []
-    others = float(np.sqrt(np.mean(residual[~far] ** 2))) if not far.all() else 0.0
+    inner = minimise(seen.shape, seen.points_m[near], seen.weights[near], size_m=seen.size_m, tolerance=1e-6)
+    distance = seen.distance(inner.shape)
+    scale = _scale(distance) if many else float(np.sqrt(np.sum(distance[near] ** 2) / max(dof, 1)))
+    gross = np.abs(distance) > _FAR * (scale + seen.floor_m)
+    if np.count_nonzero(gross) > _MOST_OUTLIERS * count and many:
+        gross[:] = False
+    far |= gross
+    if not far.any() or far.all():
+        return []
+    others, most = _rms(distance[~far]), float(np.abs(distance[far]).max())
     numbers = [str(place + 1) for place in places[far]]
     more = ", .." if len(numbers) > _NAMED else ""
     what = (
@@ -100,34 +146,34 @@ def _outliers(fit: SurfaceFit, points_m: FloatArray, places: NDArray[np.intp], f
         if len(numbers) == 1
         else f"{len(numbers)} points ({', '.join(numbers[:_NAMED])}{more}) lie up to"
     )
-    text = f"{what} {np.abs(residual[far]).max() * 1e3:.3g} mm off, the others {others * 1e3:.3g} mm (rms)"
+    text = f"{what} {most * 1e3:.3g} mm off, the others {others * 1e3:.3g} mm (rms)"
     remedy = "fit robustly (--robust), or remove what is not this surface"
-    return [Flag(Cause.OUTLIERS, f"{text}: {remedy}", spoils=True)]
+    return [Flag(Cause.OUTLIERS, f"{text}: {remedy}", spoils=most > _GROSS * (scale + seen.floor_m))]
 
 
 def _scale(residual: FloatArray) -> float:
     return _SCALE_OF_MEDIAN * float(np.median(np.abs(residual)))
 
 
-def _other_surface(
-    fit: SurfaceFit, points_m: FloatArray, kinds: Iterable[type[Shape]], floor_m: float
-) -> list[Flag]:
+def _rms(residual: FloatArray) -> float:
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _other_surface(fit: SurfaceFit, seen: _Seen, kinds: Iterable[type[Shape]]) -> list[Flag]:
     """Distances that are systematic, and the kind of surface that has none of them."""
-    residual = fit.shape.distance(points_m)
-    correlation = _of_neighbours(points_m, residual)
-    sure = correlation * np.sqrt(len(points_m))
-    off = len(points_m) < _FEW and fit.rms_m > _OFF * _size(points_m)
+    correlation = _of_neighbours(seen)
+    sure = correlation * np.sqrt(len(seen.points_m))
+    off = len(seen.points_m) < _FEW and fit.rms_m > _OFF * seen.size_m
     if sure < _LIKELY and not off:
         return []
-    better = _better(fit, points_m, kinds, floor_m)
+    better = _better(seen.at(spread(len(seen.points_m), _MOST_COMPARED)), kinds)
     if better is not None:
         kind, rms_m = better
-        coarse = fit.rms_m > _COARSE * _size(points_m)
         text = (
             f"The points lie {fit.rms_m * 1e3:.3g} mm (rms) off this {fit.surface} and {rms_m * 1e3:.3g} mm "
             f"off a {kind}"
         )
-        return [Flag(Cause.WRONG_SURFACE, text, spoils=coarse)]
+        return [Flag(Cause.WRONG_SURFACE, text, spoils=fit.rms_m > _COARSE * seen.size_m)]
     if sure > _SURE and correlation > _SYSTEMATIC:
         text = (
             f"Neighbouring points lie off the {fit.surface} the same way (correlation {correlation:.2f}): "
@@ -137,31 +183,31 @@ def _other_surface(
     return []
 
 
-def _of_neighbours(points_m: FloatArray, residual: FloatArray) -> float:
-    """Correlation of the distance of a point with that of the point nearest to it; 0 without scatter."""
-    nearest = np.asarray(cKDTree(points_m).query(points_m, k=2)[1])[:, 1]
-    square = float(residual @ residual)
-    return float(residual @ residual[nearest]) / square if square > 0.0 else 0.0
+def _of_neighbours(seen: _Seen) -> float:
+    """Correlation of the distance of a point with that of the point nearest to it along the surface."""
+    across = seen.shape.distance(seen.points_m)[:, None] * seen.shape.normals(seen.points_m)
+    foot = seen.points_m - across  # else the noise itself would choose the neighbour
+    nearest = np.asarray(cKDTree(foot).query(foot, k=2)[1])[:, 1]
+    residual = seen.distance(seen.shape)
+    return float(residual @ residual[nearest]) / float(residual @ residual)
 
 
-def _better(
-    fit: SurfaceFit, points_m: FloatArray, kinds: Iterable[type[Shape]], floor_m: float
-) -> tuple[str, float] | None:
+def _better(seen: _Seen, kinds: Iterable[type[Shape]]) -> tuple[str, float] | None:
     """The simplest other kind from which the points scatter far less, and its rms (m)."""
-    sample = points_m[:: -(-len(points_m) // _MOST_COMPARED)]
-    count = len(sample)
-    own = _variance(fit.shape.distance(sample), len(fit.shape.FREEDOMS), floor_m)
+    count = len(seen.points_m)
+    weights = NO_WEIGHTS if (seen.weights == 1.0).all() else seen.weights
+    own = _variance(seen, seen.shape)
     found: list[tuple[float, type[Shape]]] = []
     for kind in kinds:
         dof = count - len(kind.FREEDOMS)
-        if kind is type(fit.shape) or dof < _LEAST_DOF:
+        if kind is type(seen.shape) or dof < _LEAST_DOF:
             continue
-        lowest = minima(kind, sample)
+        lowest = minima(kind, seen.points_m, weights)
         if not lowest:
             continue
-        variance = _variance(lowest[0].shape.distance(sample), len(kind.FREEDOMS), floor_m)
+        variance = _variance(seen, lowest[0].shape)
         ratio = own / variance
-        if ratio > _BETTER and fdtrc(count - len(fit.shape.FREEDOMS), dof, ratio) < _CHANCE:
+        if ratio > _BETTER and fdtrc(count - len(seen.shape.FREEDOMS), dof, ratio) < _CHANCE:
             found.append((variance, kind))
     if not found:
         return None
@@ -172,9 +218,6 @@ def _better(
     return kind.KIND, float(np.sqrt(variance))
 
 
-def _variance(residual: FloatArray, freedoms: int, floor_m: float) -> float:
-    return float(residual @ residual) / max(len(residual) - freedoms, 1) + floor_m**2
-
-
-def _size(points_m: FloatArray) -> float:
-    return float(np.sqrt(np.sum(np.var(points_m, axis=0))))
+def _variance(seen: _Seen, shape: Shape) -> float:
+    residual = seen.distance(shape)
+    return float(residual @ residual) / max(len(residual) - len(shape.FREEDOMS), 1) + seen.floor_m**2
