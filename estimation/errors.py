@@ -13,7 +13,8 @@ class CellError(Exception):
         self.problem, self.remedy = problem, remedy
 
     def __str__(self) -> str:
-        return f"{self.problem}. {self.remedy}."
+        remedy = self.remedy[:1].upper() + self.remedy[1:]
+        return f"{self.problem}. {remedy}{'' if remedy.endswith('?') else '.'}"
 
 
 class DeviceError(CellError):

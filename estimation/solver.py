@@ -30,6 +30,7 @@ class Update:
     standardised : (m,) residual over its own standard deviation, for rejected rows that of the innovation.
     leverage : (m,) from 0 (checked by the others) to 1 (believed blindly); 0 for rejected rows.
     rejected : (m,) True for rows that the outlier gate left out.
+    group : consecutive rows that make one measurement.
     rank : of target and flat blocks on the data alone; None when there are none.
     costs : of each accepted iterate, one tuple for each pass with fixed noise variances; never rises in one.
     """
@@ -41,6 +42,7 @@ class Update:
     standardised: FloatArray
     leverage: FloatArray
     rejected: NDArray[np.bool_]
+    group: int
     rank: RankReport | None
     iterations: int
     initial_cost: float
@@ -224,6 +226,7 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tol
         standardised=standardised,
         leverage=leverage,
         rejected=~used,
+        group=rows.group,
         rank=rank_report(belief, posterior, dense[used], variance[used], named, rank_tolerance)
         if named
         else None,

@@ -79,6 +79,8 @@ def _execute(function: int, body: bytes, device: Registers | RegistersAndBits, t
         else:
             device.write(address, [number], time_s)
         return body
+    if function not in (15, 16):
+        raise Refused(ILLEGAL_FUNCTION)
     most, size = (MOST_BITS_WRITTEN, -(-number // 8)) if function == 15 else (MOST_WRITTEN, 2 * number)
     if not 1 <= number <= most or len(body) != 5 + size or body[4] != size:
         raise Refused(ILLEGAL_VALUE)

@@ -131,12 +131,14 @@ def _refuse(refusal: "FitRefused", surface: str, as_json: bool) -> NoReturn:
 
 
 def _print(found: "SurfaceFit", choice: "Choice | None") -> None:
+    import numpy as np
+
     from controller.console.show import console, table_of
     from controller.offline.fit_result import status_of, table_rows
 
     keys = ("parameter", "value", "u", "U (95 %)", "unit")
     console().print(table_of([dict(zip(keys, row, strict=True)) for row in table_rows(found)]))
-    origin = "of the residuals" if found.variance_factor is None else "stated"
+    origin = "stated" if np.isinf(found.dof) else "of the residuals"
     sigma = "" if found.sigma_m is None else f", sigma {found.sigma_m * 1e3:.4g} mm ({origin})"
     typer.echo(
         f"{found.surface}: {found.points} points, rms {found.rms_m * 1e3:.4g} mm, "

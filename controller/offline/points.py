@@ -1,5 +1,6 @@
 """Points from a file of any kind that people have, in metres."""
 
+import io
 from pathlib import Path
 from typing import Final
 
@@ -11,6 +12,8 @@ from controller.offline.units import METRES, refuse_extent, refuse_other_unit
 from estimation.transform import FloatArray
 
 _TEXT: Final = (".csv", ".txt", ".xyz")
+_STL_HEADER: Final = 84  # bytes of a binary file before its triangles
+_STL_TRIANGLE: Final = 50
 _MESH: Final = (".ply", ".stl")
 
 
@@ -23,6 +26,8 @@ def read_points(path: Path, unit: str, size_m: float | None = None) -> FloatArra
     Raises BadFile where the file is missing, of another kind, cannot be read without guessing, or in another
     unit than stated, as far as header, extent or `size_m` tell.
     """
+    if path.is_dir():
+        raise BadFile(f"{path} is a folder", "Name a file of points")
     if not path.is_file():
         raise BadFile(f"{path}: there is no such file", "Name a file of points")
     kind = path.suffix.lower()
@@ -45,8 +50,11 @@ def _mesh_points(path: Path, unit: str) -> FloatArray:
     import trimesh  # takes longer than --help may
 
     _refuse_declared_unit(path, unit)
+    data = path.read_bytes()
+    if path.suffix.lower() == ".stl":
+        data = _whole_stl(data, path.name)
     try:
-        loaded = trimesh.load(path, process=False)
+        loaded = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False)
         points = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
     except Exception as error:  # trimesh raises whatever its parsers stumble on
         raise BadFile(
@@ -60,6 +68,22 @@ def _mesh_points(path: Path, unit: str) -> FloatArray:
         raise BadFile(f"{path.name}, vertex {place + 1}: not three finite numbers", "Mend or remove it")
     # Triangles repeat their corners; as points of a fit each counts once.
     return np.unique(points, axis=0) if path.suffix.lower() == ".stl" else points
+
+
+def _whole_stl(data: bytes, name: str) -> bytes:
+    """The file with its names in ASCII. Raises BadFile where its end is missing."""
+    if data[:5].lower() == b"solid" and b"facet" in data[:1000].lower():
+        if b"endsolid" not in data[-300:].lower():
+            raise BadFile(f"{name}: cut off, its end (endsolid) is missing", "Export or copy it again")
+        return data.decode("latin-1").encode("ascii", errors="replace")
+    triangles = int.from_bytes(data[80:84], "little")
+    present = max(len(data) - _STL_HEADER, 0) // _STL_TRIANGLE
+    if present < triangles:
+        raise BadFile(
+            f"{name}: cut off, {triangles} triangles announced and {present} present",
+            "Export or copy it again",
+        )
+    return data
 
 
 def _refuse_declared_unit(path: Path, unit: str) -> None:

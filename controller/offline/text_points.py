@@ -4,6 +4,7 @@ Where the fast reading stumbles, a slow second one of that block of lines finds 
 what is wrong. Nothing is skipped but blank lines, comments (#) and one header.
 """
 
+import codecs
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,16 +38,26 @@ def read_text_points(path: Path, unit: str) -> FloatArray:
     Raises BadFile: empty, header only, words, missing or surplus columns, numbers that are not finite, mixed
     separators, decimal commas, or another unit in the header than `unit`; with the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadFile(f"{path.name}: not a text file", "Export the points as CSV, TXT or XYZ") from error
+    text = _text(path)
     lines = text.split("\n")
     layout = _layout(lines, path.name, unit)
     table = read_numbers(lines, layout.first_line - 1, layout.separator, layout.width)
     if isinstance(table, BadBlock):
         _refuse_first_bad_line(lines, table, layout, path.name)
     return np.ascontiguousarray(table[:, list(layout.columns)])
+
+
+def _text(path: Path) -> str:
+    """UTF-8, UTF-16 with its mark, or Latin-1, in which the numbers are the same. Raises BadFile."""
+    data = path.read_bytes()
+    encoding = "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    if "\0" in text:
+        raise BadFile(f"{path.name}: not a text file", "Export the points as CSV, TXT or XYZ")
+    return text.replace("\r\n", "\n").replace("\r", "\n")  # of any system
 
 
 def _layout(lines: Sequence[str], name: str, unit: str) -> _Layout:

@@ -44,6 +44,8 @@ def refuse_extent(extent_m: float, unit: str, name: str, expected_m: float | Non
     extent_m : largest side of the box around the points.
     expected_m : what the user expects it to be, to a factor of two, or None.
     """
+    if extent_m == 0.0:
+        raise BadFile(f"{name}: all points are the same", "Measure at different places")
     inside = "" if unit == "mm" else f" ({extent_m * 1e3:.4g} mm)"
     extent = f"{name}: the points span {extent_m / METRES[unit]:.4g} {unit}{inside}"
     if expected_m is not None and not 0.5 < extent_m / expected_m < 2.0:
@@ -54,10 +56,12 @@ def refuse_extent(extent_m: float, unit: str, name: str, expected_m: float | Non
             f"{extent}, but --size says {expected_m * 1e3:.4g} mm, {ratio:.3g} times off{hint}",
             "Mend --unit or --size",
         )
+    if expected_m is not None:
+        return
     if not _SMALLEST_EXTENT_M <= extent_m <= _LARGEST_EXTENT_M:
         raise BadFile(
             f"{extent}, outside 1 mm to 50 m; m and mm differ by a factor of 1000",
-            "Check --unit against the file",
+            "Check --unit against the file; where it is right, state the extent with --size",
         )
 
 

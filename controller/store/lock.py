@@ -20,7 +20,13 @@ class OwnerLock:
 
         Raises StoreError naming the present owner.
         """
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise StoreError(
+                f"Lock file {path} cannot be opened: {error.strerror}",
+                "Make its folder yours to write in, or give another --state-dir",
+            ) from error
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -37,6 +37,7 @@ _FAULT_BIT: Final = 1 << 3  # set in "fault" and "fault reaction active" only
 _ENABLED_MASK: Final = 0x6F
 _ENABLED: Final = 0x27
 _NOT_ENABLED: Final = _ENABLED_MASK & ~_ENABLED
+_DISABLE_TIMEOUT_S: Final = 1.0
 _END_MARGIN: Final = 2  # SYNC periods; so long before its computed end a free move is watched closely
 
 
@@ -125,13 +126,22 @@ class CanopenArm:
                 for controlword in (codec.SHUTDOWN, codec.DISABLE_VOLTAGE):
                     self._send_controlword([controlword] * self._joints)
                     self._master.next_sample(in_fault=True)
-                    sample = self._master.next_sample(in_fault=True)
-                disabled = all(codec.drive_state(word) in codec.POWERLESS for word in sample.statuswords)
+                    self._master.next_sample(in_fault=True)
+                disabled = self._become_powerless()
             self._master.stop_sync()
             if disabled:  # else the drives go on to expect our heartbeat, and stop without it
                 with contextlib.suppress(DeviceError):
                     self._setup.release()
         self._link.close()
+
+    def _become_powerless(self) -> bool:
+        """Whether all drives are without power before long: a brake or a ramp takes its time."""
+        deadline_s = self._clock.now_s() + _DISABLE_TIMEOUT_S
+        while self._clock.now_s() < deadline_s:
+            sample = self._master.next_sample(in_fault=True)
+            if all(codec.drive_state(word) in codec.POWERLESS for word in sample.statuswords):
+                return True
+        return False
 
     def health(self) -> LinkHealth:
         """Link counters."""

@@ -74,7 +74,9 @@ class DriveState(StrEnum):
     FAULT = "fault"
 
 
-POWERLESS: Final = (DriveState.SWITCH_ON_DISABLED, DriveState.NOT_READY, DriveState.FAULT)
+POWERLESS: Final = (
+    DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT
+)  # fmt: skip
 _STATE_TESTS: Final = (
     (0x4F, 0x00, DriveState.NOT_READY),
     (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),

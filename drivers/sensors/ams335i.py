@@ -108,10 +108,9 @@ class Ams335i(PolledRange):
         reasons = [words for bit, words in FAULTS.items() if status >> bit & 1]
         if reasons:
             return no_value(frame.time_s, reasons[0])
-        distance_m = config.range_start_m + position * config.step_m
-        if position == 0 or distance_m <= 0.0:  # what is shown instead of a value, or counted backwards
-            return no_value(frame.time_s, f"position {position}")
-        return Answer(distance_m, frame.time_s)
+        if position <= 0:  # zero is shown instead of a value; it cannot see behind itself
+            return no_value(frame.time_s, "position zero or below")
+        return Answer(config.range_start_m + position * config.step_m, frame.time_s)
 
     def _heard(self, frame: CanFrame) -> None:
         """Only the PDO that has the status beside the position counts."""

@@ -49,7 +49,11 @@ def fit_any(points_m: FloatArray, sigma_m: float | None = None, robust: bool = F
         criterion = count * np.log(fit.rms_m**2 + floor_m**2) + len(shape.FREEDOMS) * np.log(count)
         tried.append((float(criterion), kind, fit.rms_m))
     if not tried:
-        raise FitRefused(Cause.WRONG_SURFACE, f"No kind of surface fits: {'; '.join(others)}", "Name one")
+        raise FitRefused(
+            Cause.WRONG_SURFACE,
+            f"No kind of surface fits: {'; '.join(others)}",
+            "Separate the surfaces in the file, or name one",
+        )
     tried.sort()
     best, kind, rms_m = tried[0]
     if len(tried) > 1 and tried[1][0] - best < _CLEAR and tried[1][2] < 1.5 * rms_m:

@@ -18,6 +18,7 @@ _LARGEST_TILT_RAD: Final = 0.1  # standard deviations beyond these: the linear c
 _LARGEST_SHARE: Final = 0.2  # of a radius
 _LARGEST_RMS: Final = 0.05  # of the size: no measurement of this surface is so rough
 _FEW: Final = 10_000  # points up to which duplicates are counted
+_MOST_NUMBERED: Final = 10  # points that are named
 _UNLIKELY: Final = 1e-3
 _AMBIGUOUS_RATIO: Final = 10.0
 
@@ -187,5 +188,18 @@ def flags_of(fit: SurfaceFit) -> SurfaceFit:
             )
         )
     if len(fit.rejected):
-        flags.append(Flag(Cause.OUTLIERS, f"{len(fit.rejected)} points were left out as outliers"))
+        distance = np.abs(fit.residuals()[fit.rejected])
+        numbers = ", ".join(str(place + 1) for place in fit.rejected[:_MOST_NUMBERED])
+        more = ", .." if len(fit.rejected) > _MOST_NUMBERED else ""
+        what = "Point" if len(fit.rejected) == 1 else f"{len(fit.rejected)} points:"
+        text = f"{what} {numbers}{more} left out as outliers, up to {distance.max() * 1e3:.3g} mm off"
+        flags.append(Flag(Cause.OUTLIERS, text))
+    if any(quantity.expanded is None for quantity in fit.quantities.values()):
+        text = (
+            f"{fit.redundancy} degrees of freedom are too few for a 95 % region of every parameter: "
+            "state sigma, or measure more"
+        )
+        flags.append(Flag(Cause.NO_REDUNDANCY, text))
+    elif fit.redundancy == 0:
+        flags.append(Flag(Cause.NO_REDUNDANCY, "No point is left over to check the stated sigma with"))
     return replace(fit, flags=tuple(flags))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from estimation.tasks.findings import Cause, Finding
 from estimation.transform import FloatArray
 
+METRES: Final = "Give metres, or state the unit of the file as it is"  # numbers of another unit
 LARGEST_LENGTH_M: Final = 20.0  # no arm reaches as far; lengths beyond are in other units
 LARGEST_ANGLE_RAD: Final = 4.0 * np.pi  # two turns of a joint
 LARGEST_SKEW: Final = 1e-4  # of R^T R from the identity: matrices written with four decimals pass
@@ -123,7 +124,7 @@ def lengths(named: Mapping[str, FloatArray]) -> list[Finding]:
                 Finding(
                     Cause.WRONG_UNITS,
                     f"{name} goes up to {largest:.4g} m, limit {LARGEST_LENGTH_M:g} m",
-                    "Give metres: these look like millimetres",
+                    f"{METRES}: these look like millimetres",
                 )
             )
     return found

@@ -52,6 +52,18 @@ class PointLaser(SensorTask):
     def arrays(self) -> Mapping[str, tuple[Any, tuple[int | None, ...]]]:
         return {"reading_m": (self.reading_m, (len(self.motion),))}
 
+    def check_readings(self) -> list[Finding]:
+        if (self.reading_m >= 0.0).any():
+            return []
+        return [
+            Finding(
+                Cause.INVERTED,
+                f"All {len(self.reading_m)} readings are negative: they would lie behind the laser",
+                "Give distances along the beam; change the sign unless zero lies in the middle of the range",
+                refuses=False,
+            )
+        ]
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ProfileLaser(SensorTask):

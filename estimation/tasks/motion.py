@@ -123,7 +123,7 @@ class Poses:
             scaled = self.base_T_flange.copy()
             scaled[:, :3, 3] /= factor
             finding = Finding(
-                Cause.WRONG_UNITS, f"The poses fit when divided by {factor:.4g}: {units}", "Give metres"
+                Cause.WRONG_UNITS, f"The poses fit when divided by {factor:.4g}: {units}", checks.METRES
             )
             found.append((finding, replace(self, base_T_flange=scaled)))
         return found

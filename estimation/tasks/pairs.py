@@ -162,7 +162,7 @@ class PairTask:
             finding = Finding(
                 Cause.WRONG_UNITS,
                 f"The measurements fit when {self.reported} is divided by {factor:.4g}: {units}",
-                "Give metres",
+                checks.METRES,
             )
             again: dict[str, Any] = {self.reported: scaled}
             found.append((finding, replace(self, **again)))

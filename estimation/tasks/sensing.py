@@ -139,7 +139,11 @@ class SensorTask:
         poses = self.motion.at(values_of(belief)).pose
         if self.sensor in belief and belief.block(self.sensor).flat:
             found += checks.orientations(poses)
-        return found + checks.positions(poses) + self.check_object()
+        return found + checks.positions(poses) + self.check_object() + self.check_readings()
+
+    def check_readings(self) -> list[Finding]:
+        """What is odd about the readings as such."""
+        return []
 
     def check_object(self) -> list[Finding]:
         """What is wrong with the surfaces or markers that were measured."""
@@ -217,7 +221,7 @@ class SensorTask:
         for names in (*((name,) for name in lengths), *together):
             for factor, units in UNIT_FACTORS.items():
                 what = f"The data fit when {' and '.join(names)} {'is' if len(names) == 1 else 'are'} divided"
-                finding = Finding(Cause.WRONG_UNITS, f"{what} by {factor:.4g}: {units}", "Give metres")
+                finding = Finding(Cause.WRONG_UNITS, f"{what} by {factor:.4g}: {units}", checks.METRES)
                 scaled: dict[str, Any] = {name: lengths[name] / factor for name in names}
                 found.append((finding, replace(self, **scaled)))
         found += [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]

@@ -32,6 +32,7 @@ _DECISIVE: Final = 100.0  # chi-square against a second solution: ten standard d
 _COARSE: Final = 1e-2  # standard deviations: tolerance of a descent that only ranks its start
 _FEW_REJECTED: Final = 0.05  # share of rows that may contradict an explanation that all others confirm
 _MORE_DESCENTS: Final = 3
+_MOST_NUMBERED: Final = 10  # measurements that are named
 _SAME_SIGMAS: Final = 30.0  # two minima closer than this many standard deviations are one
 
 
@@ -373,16 +374,23 @@ def apart(posterior: Belief, one: Mapping[str, Value], other: Mapping[str, Value
     return False
 
 
+def _numbered(places: NDArray[np.intp]) -> str:
+    """Which ones, counted from 1 as people do."""
+    shown = ", ".join(str(place + 1) for place in places[:_MOST_NUMBERED])
+    return f"number {shown}{', ..' if len(places) > _MOST_NUMBERED else ''}"
+
+
 def _diagnosed(found: Update) -> list[Finding]:
     findings = []
     if found.rejected.any():
         worst = float(np.abs(found.standardised[found.rejected]).max())
-        rows = np.flatnonzero(found.rejected)
+        left_out = np.flatnonzero(found.rejected.reshape(-1, found.group)[:, 0])
+        count = len(found.rejected) // found.group
         findings.append(
             Finding(
                 Cause.OUTLIER,
-                f"{len(rows)} of {len(found.rejected)} rows contradict the others by up to {worst:.0f} "
-                f"standard deviations, the first is row {rows[0]}; they were left out",
+                f"{len(left_out)} of {count} measurements contradict the others by up to "
+                f"{worst:.0f} standard deviations and were left out: {_numbered(left_out)}",
                 "Look at these measurements; measure them again",
                 refuses=False,
             )

@@ -13,6 +13,9 @@ from simulators.world.world_file import LaserSpec
 
 IntArray = NDArray[np.int64]
 
+UNDERFLOW: Final = 262073  # of a mastered value
+OVERFLOW: Final = 262074
+LARGEST_MASTERED: Final = 262072
 TOO_MUCH_DATA: Final = 262075
 NO_PEAK: Final = 262076
 BEFORE_RANGE: Final = 262077
@@ -143,7 +146,9 @@ class OptoNcdt1420:
         if self._mastered_m is not None:
             percent += self._mastered_m / self._spec.range_m * 100
             code = np.rint((percent + 51) * (LARGEST_DISTANCE / 102))
-        code = np.select(errors, [NO_PEAK, BEFORE_RANGE, BEHIND_RANGE], default=code)
+            errors += [code < 0, code > LARGEST_MASTERED]
+        words = [NO_PEAK, BEFORE_RANGE, BEHIND_RANGE, UNDERFLOW, OVERFLOW]
+        code = np.select(errors, words[: len(errors)], default=code)
         return code.astype(np.int64)
 
     # -- line ------------------------------------------------------------------------------------
@@ -249,7 +254,11 @@ class OptoNcdt1420:
     def _master(self, parameters: list[str], time_s: float) -> str:
         """The present distance is to count as that many millimetres."""
         what, value = parameters
-        if what != "MASTER" or not value.replace(".", "", 1).isdecimal():
+        if (
+            what != "MASTER"
+            or not value.replace(".", "", 1).isdecimal()
+            or float(value) > self._spec.range_m * 1000
+        ):
             return "E236 Value is out of range or the format is invalid\r\n"
         distance_m = float(self._beam.beam_lengths_m(np.array([time_s]))[0]) - self._spec.range_start_m
         if not 0 <= distance_m <= self._spec.range_m:

@@ -100,8 +100,36 @@ _BAD = {
     "inch in the header": ("x [inch],y [inch],z [inch]\n1,2,3\n", "line 1: the file says 'inch'"),
     "metres in a comment": ("# unit: m\n1,2,3\n", "line 1: the file says 'm'"),
     "centimetres in the header": ("x_cm,y_cm,z_cm\n1,2,3\n", "line 1: the file says 'cm'"),
-    "binary": ("\udcff\udcfe", "not a text file"),
+    "binary": ("PK\x03\x04\x00\x00\udcff", "not a text file"),
 }
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_text_of_any_common_encoding_is_read(run: Run, tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "points.csv"
+    rows = "\r\n".join(f"{x},{y},{0.01 * (x * y % 3)}" for x in range(5) for y in range(5))
+    path.write_bytes(f"# Prüfling 3, µm-Tisch\r\nx [mm],y [mm],z [mm]\r\n{rows}\r\n".encode(encoding))
+    code, _, err = run(path, "--surface", "plane", "--unit", "mm")
+    assert (code, err) == (ExitCode.OK, "")
+
+
+def test_a_small_piece_is_read_where_its_size_is_stated(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("\n".join(f"{0.1 * x},{0.1 * y},0" for x in range(5) for y in range(5)))
+    assert run(path, "--surface", "plane", "--unit", "mm")[0] == ExitCode.BAD_INPUT
+    assert run(path, "--surface", "plane", "--unit", "mm", "--size", "0.4 mm")[0] == ExitCode.OK
+
+
+def test_stl_files_that_are_cut_off_are_said_to_be(run: Run, tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
+    path = tmp_path / "ball.stl"
+    whole = trimesh.exchange.stl.export_stl_ascii(ball).replace("solid", "solid Prüfling", 1)
+    path.write_bytes(whole.encode("latin-1"))
+    assert run(path, "--surface", "sphere", "--unit", "mm")[0] == ExitCode.OK
+    path.write_bytes(whole.encode("latin-1")[:-3000])
+    assert "cut off" in run(path, "--surface", "sphere", "--unit", "mm")[2]
+    path.write_bytes(trimesh.exchange.stl.export_stl(ball)[:-30])
+    assert "320 triangles announced and 319 present" in run(path, "--surface", "sphere", "--unit", "mm")[2]
 
 
 @pytest.mark.parametrize("case", list(_BAD))

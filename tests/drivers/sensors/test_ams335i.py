@@ -90,7 +90,7 @@ def test_a_zero_instead_of_a_value_is_none_whatever_the_status_says(bench: Bench
     bench.clock.sleep(0.05)
     bench.sensor._good_s = bench.clock.now_s()
     bench.laser.begin_window()
-    assert bench.laser.end_window(1).rejected_kinds == ("position 0",)
+    assert bench.laser.end_window(1).rejected_kinds == ("position zero or below",)
 
 
 def test_a_late_answer_is_not_that_to_the_next_sync(bench: Bench) -> None:
