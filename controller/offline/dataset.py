@@ -60,6 +60,11 @@ def read_dataset(path: Path, columns: dict[KeyPath, Any] | None = None) -> Datas
         data = json.loads(text, object_pairs_hook=_distinct, parse_constant=_no_number)
     except json.JSONDecodeError as error:
         raise BadFile(f"{path.name}:{error.lineno}: not JSON, {error.msg}", "Correct this line") from error
+    except _NoNumber as error:
+        line = _line_of(text, error.word)
+        raise BadFile(
+            f"{path.name}:{line}: {error.word} is not a finite number", "Correct this line"
+        ) from error
     except (ValueError, RecursionError) as error:
         raise BadFile(f"{path.name}: {error}", "Correct the file") from error
     if not isinstance(data, dict):
@@ -137,8 +142,26 @@ def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
+class _NoNumber(Exception):
+    """NaN or Infinity, which JSON does not have and many write; never leaves this file."""
+
+    def __init__(self, word: str) -> None:
+        super().__init__(word)
+        self.word = word
+
+
 def _no_number(word: str) -> float:
-    raise ValueError(f"{word} is not a finite number")
+    raise _NoNumber(word)
+
+
+def _line_of(text: str, word: str) -> int:
+    """The line on which the word first stands, not in quotes."""
+    line = 1
+    for match in _TOKEN.finditer(text):
+        if match[0] == word:
+            break
+        line += match[0] == "\n"
+    return line
 
 
 def _lines(text: str) -> dict[KeyPath, int]:

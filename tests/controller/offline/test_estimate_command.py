@@ -215,6 +215,13 @@ def test_the_line_is_that_of_the_mistake(content: dict[str, Any], tmp_path: Path
         read_dataset(tmp_path / "bad.json")
 
 
+def test_the_line_of_a_number_that_is_none_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "data.json"
+    path.write_text('{"about": "no NaN here",\n "readings": [1.5,\n NaN, 2.5]}')
+    with pytest.raises(BadFile, match=r"data\.json:3: NaN is not a finite number"):
+        read_dataset(path)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"task": NaN}', '{"task": "a", "task": "b"}'])
 def test_a_file_that_is_no_data_set_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text(text)
