@@ -13,6 +13,7 @@ from estimation.transform import FloatArray
 METRES: Final = "Give metres, or state the unit of the file as it is"  # numbers of another unit
 LARGEST_LENGTH_M: Final = 20.0  # no arm reaches as far; lengths beyond are in other units
 LARGEST_ANGLE_RAD: Final = 4.0 * np.pi  # two turns of a joint
+SMALLEST_ANGLE_RAD: Final = np.radians(2.0 * np.pi)  # what a turn in radians is as degrees
 LARGEST_SKEW: Final = 1e-4  # of R^T R from the identity: matrices written with four decimals pass
 CONSTANT_RAD: Final = np.radians(0.1)
 SMALLEST_ROTATION_RAD: Final = np.radians(2.0)
@@ -140,6 +141,19 @@ def angles(named: Mapping[str, FloatArray]) -> list[Finding]:
         )
         for name, array in named.items()
         if np.abs(array).max(initial=0.0) > LARGEST_ANGLE_RAD
+    ]
+
+
+def angles_of_arm(named: Mapping[str, FloatArray]) -> list[Finding]:
+    """Angles, rad, of all joints of an arm, which all stay near zero at no poses worth measuring."""
+    return angles(named) + [
+        Finding(
+            Cause.WRONG_UNITS,
+            f"{name} goes up to {np.degrees(np.abs(array).max()):.3g} deg only, in all joints",
+            "Check the unit of angles: these look like radians given as degrees",
+        )
+        for name, array in named.items()
+        if 0.0 < np.abs(array).max(initial=0.0) < SMALLEST_ANGLE_RAD
     ]
 
 

@@ -211,7 +211,7 @@ class Joints:
         return checks.first_of(
             lambda: checks.numbers(arrays),
             lambda: checks.deviations({"std_rad of joints": self.std_rad}),
-            lambda: checks.angles({"joints_rad": self.joints_rad}),
+            lambda: checks.angles_of_arm({"joints_rad": self.joints_rad}),
             self._check_priors,
         )
 

@@ -276,6 +276,7 @@ def test_exchanged_joints_and_degrees_are_recognised() -> None:
     for given, cause in (
         (joints[:, [0, 1, 2, 4, 3, 5]], Cause.SWAPPED_JOINTS),
         (np.degrees(joints), Cause.WRONG_UNITS),
+        (np.radians(joints), Cause.WRONG_UNITS),
     ):
         result = solve(replace(problem, motion=replace(problem.motion, joints_rad=given)))  # type: ignore[type-var]
         assert result.status is Status.REFUSED
