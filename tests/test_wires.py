@@ -136,11 +136,20 @@ def test_stop_while_the_arm_moves_ends_the_run_without_verdict(idle: WireCell) -
     assert idle.console("watch --until-waiting").code == ExitCode.STOPPED
 
 
+# The console; shells let what they start in the background, such as these tests, ignore Ctrl-C.
+HEEDING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from controller.console.app import main
+main()
+"""
+
+
 def test_sigterm_while_the_arm_moves(cell: WireCell) -> None:
     """Also: Ctrl-C of a console that waits leaves the job alone, and a cell has one daemon."""
     daemon = cell.serve()
     make_idle(cell)
-    command = [sys.executable, "-m", "controller", "start", "--wait", "--socket", str(cell.socket)]
+    command = [sys.executable, "-c", HEEDING, "start", "--wait", "--socket", str(cell.socket)]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as console:
