@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from estimation.transform import FloatArray
 
 _GOLDEN: Final = (np.sqrt(5.0) - 1.0) / 2.0
-_MIXER: Final = np.uint64(0x9E3779B97F4A7C15)  # spreads the bits of a number (Fibonacci hashing)
+_SPARSE: Final = 4  # times as many points: no place of a sample comes twice
+_MOST_COPIES: Final = 5
 _ALONG: Final = (0.7390851, 0.5671433, 0.3644247)  # a direction in which no grid repeats itself
 
 
@@ -16,21 +17,25 @@ def spread(count: int, most: int) -> NDArray[np.intp]:
     """Places of at most `most` of `count` points, even but in step with no regular scan."""
     if count <= most:
         return np.arange(count)
-    return np.unique((np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp))
+    places = (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
+    return np.sort(places) if count > _SPARSE * most else np.unique(places)
 
 
-def distinct_share(points_m: FloatArray, most: int) -> tuple[int, int]:
-    """How many different points there are, and among how many.
-
-    Of many points only some are looked at, chosen by what they are: equal ones together or not at all.
-    """
-    count = len(points_m)
-    if count > most:
-        hashed = np.ascontiguousarray(points_m).view(np.uint64)[:, 0] * _MIXER
-        points_m = points_m[hashed < np.uint64(2**64 * (most / count))]
+def distinct(points_m: FloatArray) -> int:
+    """How many different points there are."""
     x, y, z = points_m.T
     key = _ALONG[0] * x + _ALONG[1] * y + _ALONG[2] * z  # no matrix product: equal points round equally
-    return len(np.unique(key)), len(key)
+    return len(np.unique(key))
+
+
+def repeated_share(points_m: FloatArray, places: NDArray[np.intp]) -> float:
+    """Share of the points at `places` that come again at once, or where a file stacked on itself has them.
+
+    For points so many that looking at all of them takes longer than fitting a surface.
+    """
+    count, here = len(points_m), points_m[places]
+    steps = (1, *(count // copies for copies in range(2, _MOST_COPIES + 1)))
+    return max(float(np.mean((here == points_m[(places + step) % count]).all(axis=1))) for step in steps)
 
 
 def step_of(values_m: FloatArray) -> float:

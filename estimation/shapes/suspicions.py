@@ -13,15 +13,16 @@ from estimation.shapes.optimum import minima, minimise
 from estimation.shapes.passes import NO_WEIGHTS
 from estimation.shapes.refusals import Cause, Flag
 from estimation.shapes.result import SurfaceFit
-from estimation.shapes.sampling import distinct_share, spread, step_of
+from estimation.shapes.sampling import distinct, repeated_share, spread, step_of
 from estimation.shapes.shape import Shape
 from estimation.transform import FloatArray
 
 RESOLUTION: Final = 1.2e-7  # of the largest coordinate: meshes and clouds are stored in single precision
 _ALL: Final = 100_000  # points that are looked at one by one
-_MANY: Final = 10_000  # of more points, unless these scatter less than all do
+_MANY: Final = 6_000  # of more points, unless these scatter less than all do
 _ODD: Final = 1.05
 _SAMPLE: Final = 2_000  # points whose neighbours are compared
+_FEWER: Final = 1_000  # of very many
 _MOST_COMPARED: Final = 300  # points through which other kinds are laid
 _FEW: Final = 60  # of which neighbours tell little: other kinds are tried if the points lie off at all
 _OFF: Final = 0.001  # rms over size
@@ -33,6 +34,8 @@ _BETTER: Final = 9.0  # times less variance of the distances
 _CHANCE: Final = 1e-6
 _COARSE: Final = 0.005  # rms over size: a form error is smaller, another surface is not
 _NEAR: Final = 2.5  # times the scale
+_PLENTY: Final = 5_000  # points
+_PLAIN: Final = 5.0  # times the scale, within which all are honest
 _FAR: Final = 10.0  # times the scale of the others
 _GROSS: Final = 20.0  # beyond what the tails of any sensor reach
 _ENOUGH: Final = 10  # points a freedom from which the median distance is a scale
@@ -82,29 +85,43 @@ def suspicions(
         seen = _seen(fit, points_m, places)
     if fit.rms_m > seen.floor_m:
         if not robust:
-            flags += _outliers(seen, np.setdiff1d(places, fit.rejected, assume_unique=True))
+            flags += _outliers(seen, _kept(places, fit))
         if not flags:
-            flags += _other_surface(fit, seen.at(spread(len(seen.points_m), _SAMPLE)), kinds)
+            flags += _other_surface(
+                fit, seen.at(spread(len(seen.points_m), _SAMPLE if len(points_m) <= _ALL else _FEWER)), kinds
+            )
     return tuple(flags)
 
 
+def _kept(places: NDArray[np.intp], fit: SurfaceFit) -> NDArray[np.intp]:
+    return np.setdiff1d(places, fit.rejected, assume_unique=True) if len(fit.rejected) else places
+
+
 def _seen(fit: SurfaceFit, points_m: FloatArray, places: NDArray[np.intp]) -> _Seen:
-    places = np.setdiff1d(places, fit.rejected, assume_unique=True)
+    places = _kept(places, fit)
     points, given = points_m[places], fit.weights
     weights = np.ones(len(places)) if not len(given) else given[places] / np.median(given[places])
-    some = points[spread(len(points), _SAMPLE)]
+    some = points[spread(len(points), _FEWER)]
     facing = np.sqrt(np.mean(fit.shape.normals(some) ** 2, axis=0))
     steps = [step_of(some[:, axis]) for axis in np.flatnonzero(facing > _FACING * facing.max())]
     return _Seen(fit.shape, points, weights, max(RESOLUTION * float(np.abs(some).max()), min(steps)))
 
 
 def _repeated(points_m: FloatArray, freedoms: int) -> list[Flag]:
-    distinct, count = distinct_share(points_m, _ALL if len(points_m) <= _ALL else _MANY)
-    if distinct > 0.9 * count:
+    count = len(points_m)
+    if count > _ALL:
+        share = repeated_share(points_m, spread(count, _FEWER))
+        if share < 0.1:
+            return []
+        text = (
+            f"{share:.0%} of the points that were looked at come again, and each is taken for a measurement"
+        )
+        return [Flag(Cause.DUPLICATED_POINTS, text, spoils=share > 0.4)]
+    different = distinct(points_m)
+    if different > 0.9 * count:
         return []
-    share = "" if count == len(points_m) else f", counted of {len(points_m)}"
-    text = f"Only {distinct} of {count} points are distinct{share}, and each is taken for a measurement"
-    return [Flag(Cause.DUPLICATED_POINTS, text, spoils=distinct <= max(0.5 * count, freedoms))]
+    text = f"Only {different} of {count} points are distinct, and each is taken for a measurement"
+    return [Flag(Cause.DUPLICATED_POINTS, text, spoils=different <= max(0.5 * count, freedoms))]
 
 
 def _outliers(seen: _Seen, places: NDArray[np.intp]) -> list[Flag]:
@@ -117,6 +134,8 @@ def _outliers(seen: _Seen, places: NDArray[np.intp]) -> list[Flag]:
     """
     rows = seen.shape.rows(seen.points_m) * seen.weights
     residual, count, freedoms = rows[-1], len(seen.points_m), len(rows) - 1
+    if count > _PLENTY and (np.abs(residual) <= _PLAIN * (_scale(residual) + seen.floor_m)).all():
+        return []  # at once: no single one of so many points has leverage
     leverage = np.einsum("in,in->n", rows[:-1], np.linalg.pinv(rows[:-1] @ rows[:-1].T) @ rows[:-1])
     own = np.maximum(1.0 - leverage, 1e-9)
     dof = count - freedoms - 1
