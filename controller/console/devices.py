@@ -61,7 +61,7 @@ def _alone(store: Path) -> Iterator[None]:
     except StoreError as error:
         raise ConsoleError(
             ExitCode.REFUSED,
-            f"The devices of this cell are in use: {error.problem}",
+            f"A daemon has the devices of this cell: {error.problem}",
             "Ask that daemon with `truecell status --links`, or stop it",
         ) from error
     try:

@@ -28,7 +28,7 @@ def page(fit: SurfaceFit, choice: Choice | None, source: str) -> str:
             f"rms {fit.rms_m * 1e3:.4g} mm, {fit.redundancy} degrees of freedom, "
             f"{len(fit.rejected)} points left out"
         ],
-        notes=[*(flag.text for flag in fit.flags), *chosen],
+        notes=[*(flag.text for flag in fit.flags if not flag.spoils), *chosen],
         figures=[Figure("Residuals", _residual_plot(fit), "Distance of each point; crosses were left out.")],
     ).html()
 

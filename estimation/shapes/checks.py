@@ -5,9 +5,11 @@ from typing import Final
 
 import numpy as np
 
+from estimation.numbered import numbered
 from estimation.shapes.passes import moments
 from estimation.shapes.refusals import Cause, FitRefused, Flag
 from estimation.shapes.result import SurfaceFit
+from estimation.shapes.sampling import distinct
 from estimation.shapes.shape import Shape
 from estimation.transform import FloatArray
 
@@ -18,7 +20,6 @@ _LARGEST_TILT_RAD: Final = 0.1  # standard deviations beyond these: the linear c
 _LARGEST_SHARE: Final = 0.2  # of a radius
 _LARGEST_RMS: Final = 0.05  # of the size: no measurement of this surface is so rough
 _FEW: Final = 10_000  # points up to which duplicates are counted
-_MOST_NUMBERED: Final = 10  # points that are named
 _UNLIKELY: Final = 1e-3
 _AMBIGUOUS_RATIO: Final = 10.0
 
@@ -59,10 +60,10 @@ def checked_points(points_m: FloatArray, kind: type[Shape], sigma_known: bool) -
             f"Point {row + 1} is {points[row].tolist()}, not three numbers",
             "Remove or mend it",
         )
-    if len(points) <= _FEW and (distinct := len(np.unique(points, axis=0))) < needed:
+    if len(points) <= _FEW and (different := distinct(points)) < needed:
         raise FitRefused(
             Cause.DUPLICATED_POINTS,
-            f"Only {distinct} of {len(points)} points are distinct, a {kind.KIND} needs {needed}",
+            f"Only {different} of {len(points)} points are distinct, a {kind.KIND} needs {needed}",
             "Measure at different places",
         )
     mean = sums[:3, 3] / len(points)
@@ -188,11 +189,9 @@ def flags_of(fit: SurfaceFit) -> SurfaceFit:
             )
         )
     if len(fit.rejected):
-        distance = np.abs(fit.residuals()[fit.rejected])
-        numbers = ", ".join(str(place + 1) for place in fit.rejected[:_MOST_NUMBERED])
-        more = ", .." if len(fit.rejected) > _MOST_NUMBERED else ""
-        what = "Point" if len(fit.rejected) == 1 else f"{len(fit.rejected)} points:"
-        text = f"{what} {numbers}{more} left out as outliers, up to {distance.max() * 1e3:.3g} mm off"
+        farthest_mm = float(np.abs(fit.residuals()[fit.rejected]).max()) * 1e3
+        count = "" if len(fit.rejected) == 1 else f"{len(fit.rejected)} points, "
+        text = f"Left out as outliers: {count}number {numbered(fit.rejected)}, up to {farthest_mm:.3g} mm off"
         flags.append(Flag(Cause.OUTLIERS, text))
     if any(quantity.expanded is None for quantity in fit.quantities.values()):
         text = (

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import fdtrc, stdtrit
 
+from estimation.numbered import numbered
 from estimation.shapes.optimum import minima, minimise
 from estimation.shapes.passes import NO_WEIGHTS
 from estimation.shapes.refusals import Cause, Flag
@@ -41,7 +42,6 @@ _GROSS: Final = 20.0  # beyond what the tails of any sensor reach
 _ENOUGH: Final = 10  # points a freedom from which the median distance is a scale
 _MOST_OUTLIERS: Final = 0.10  # more are no outliers, but another scatter
 _OUTLIER_CHANCE: Final = 1e-4  # over all points together
-_NAMED: Final = 5  # points by their number
 _SCALE_OF_MEDIAN: Final = 1.4826
 _FACING: Final = 0.5  # of the largest component of the normals: rounding across the surface says nothing
 
@@ -158,13 +158,9 @@ def _outliers(seen: _Seen, places: NDArray[np.intp]) -> list[Flag]:
     if not far.any() or far.all():
         return []
     others, most = _rms(distance[~far]), float(np.abs(distance[far]).max())
-    numbers = [str(place + 1) for place in places[far]]
-    more = ", .." if len(numbers) > _NAMED else ""
-    what = (
-        f"Point {numbers[0]} lies"
-        if len(numbers) == 1
-        else f"{len(numbers)} points ({', '.join(numbers[:_NAMED])}{more}) lie up to"
-    )
+    count_far = np.count_nonzero(far)
+    who = numbered(places[far])
+    what = f"Point {who} lies" if count_far == 1 else f"{count_far} points ({who}) lie up to"
     text = f"{what} {most * 1e3:.3g} mm off, the others {others * 1e3:.3g} mm (rms)"
     remedy = "fit robustly (--robust), or remove what is not this surface"
     return [Flag(Cause.OUTLIERS, f"{text}: {remedy}", spoils=most > _GROSS * (scale + seen.floor_m))]

@@ -19,6 +19,7 @@ from estimation.fitting import (
     row_variance,
 )
 from estimation.model import Model, values_of
+from estimation.numbered import numbered
 from estimation.observability import RANK_TOLERANCE, RankReport
 from estimation.solver import Update, update
 from estimation.tasks.explanations import explained
@@ -32,7 +33,6 @@ _DECISIVE: Final = 100.0  # chi-square against a second solution: ten standard d
 _COARSE: Final = 1e-2  # standard deviations: tolerance of a descent that only ranks its start
 _FEW_REJECTED: Final = 0.05  # share of rows that may contradict an explanation that all others confirm
 _MORE_DESCENTS: Final = 3
-_MOST_NUMBERED: Final = 10  # measurements that are named
 _SAME_SIGMAS: Final = 30.0  # two minima closer than this many standard deviations are one
 
 
@@ -374,12 +374,6 @@ def apart(posterior: Belief, one: Mapping[str, Value], other: Mapping[str, Value
     return False
 
 
-def _numbered(places: NDArray[np.intp]) -> str:
-    """Which ones, counted from 1 as people do."""
-    shown = ", ".join(str(place + 1) for place in places[:_MOST_NUMBERED])
-    return f"number {shown}{', ..' if len(places) > _MOST_NUMBERED else ''}"
-
-
 def _diagnosed(found: Update) -> list[Finding]:
     findings = []
     if found.rejected.any():
@@ -390,7 +384,7 @@ def _diagnosed(found: Update) -> list[Finding]:
             Finding(
                 Cause.OUTLIER,
                 f"{len(left_out)} of {count} measurements contradict the others by up to "
-                f"{worst:.0f} standard deviations and were left out: {_numbered(left_out)}",
+                f"{worst:.0f} standard deviations and were left out: number {numbered(left_out)}",
                 "Look at these measurements; measure them again",
                 refuses=False,
             )

@@ -141,7 +141,7 @@ def test_the_devices_of_a_daemon_are_left_alone(capsys: pytest.CaptureFixture[st
     finally:
         store.close()
     assert code is ExitCode.REFUSED
-    assert err.startswith("The devices of this cell are in use") and f"process {os.getpid()}" in err
+    assert err.startswith("A daemon has the devices of this cell") and f"process {os.getpid()}" in err
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[ExitCode, str, str]:

@@ -328,6 +328,24 @@ def test_close_leaves_drives_that_may_be_enabled_waiting_for_a_heartbeat() -> No
     assert link.drives[3].objects[0x1016, 1] == bytes.fromhex("c8000100")
 
 
+def test_close_waits_for_a_drive_that_is_slow_to_lose_its_power() -> None:
+    arm, link, _ = connected()
+    for drive in link.drives.values():
+        drive.objects[0x1016, 1] = bytes.fromhex("c8000100")
+    slow, disabled_at = link.drives[8], list[int]()
+
+    def brake(number: int) -> None:
+        """For ten more SYNCs the drive says that it is enabled."""
+        if not disabled_at and slow.statusword & 0x6F == 0x40:
+            disabled_at.append(number)
+        if disabled_at:
+            slow.statusword = 0x0227 if number < disabled_at[0] + 10 else 0x0240
+
+    link.on_sync = brake
+    arm.close()
+    assert disabled_at and all(each.objects[0x1016, 1] == bytes(4) for each in link.drives.values())
+
+
 def test_a_pause_in_which_nobody_pumps_is_no_lost_node() -> None:
     arm, _, clock = connected()
     clock.sleep(3.0)
