@@ -12,7 +12,6 @@ from estimation.shapes.checks import (
     checked_sigma,
     flags_of,
     refuse_other_surface,
-    refuse_simpler,
     refuse_undetermined,
 )
 from estimation.shapes.cone import Cone
@@ -32,8 +31,7 @@ from estimation.transform import FloatArray
 KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphere, Cylinder, Cone, Torus)}
 SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
 _FINE: Final = 1e-11  # step that may be left with more points, in sizes and radians
-_NEARLY_RAD: Final = 0.03  # from another surface, of a cone that does not settle
-_MUCH_LARGER: Final = 100.0  # than the points spread, radii of a surface that does not settle
+_WORTH: Final = 10.0  # times the variance: what a freedom must take off the squares to be needed
 _HUBER: Final = 1.345  # standard deviations: 95 % as efficient as least squares on honest data
 _ROBUST_ROUNDS: Final = 50
 _FALSE_ALARMS: Final = 0.01  # of the outlier gate, over all points together
@@ -94,12 +92,7 @@ def _global_minimum(
         )
     best = _refined(found[0].shape, checked, weights)
     if not best.converged:
-        refuse_simpler(best.shape, _NEARLY_RAD, _MUCH_LARGER * checked.size_m)
-        raise FitRefused(
-            Cause.NO_CONVERGENCE,
-            f"The fit of a {kind.KIND} did not settle in {best.iterations} iterations",
-            "Name another surface, or measure a larger piece of this one",
-        )
+        raise _unsettled(best, points[places], weights[places] if len(weights) else NO_WEIGHTS)
     if len(found) == 1:
         return best, np.inf
     if len(places) == count and (len(weights) or sigma is not None):
@@ -112,6 +105,27 @@ def _global_minimum(
             )
     floor = (1e-12 * checked.size_m) ** 2 * len(places)
     return best, float(found[1].cost / max(found[0].cost, floor))
+
+
+def _unsettled(best: Optimum, points_m: FloatArray, weights: FloatArray) -> FitRefused:
+    """The refusal of a fit that does not settle: where a simpler surface does as well, and elsewhere."""
+    shape = best.shape
+    square = (shape.distance(points_m) * (weights if len(weights) else 1.0)) ** 2
+    for simpler in KINDS.values():
+        spare = len(shape.FREEDOMS) - len(simpler.FREEDOMS)
+        worth = 1.0 + _WORTH * spare / max(len(points_m) - len(shape.FREEDOMS), 1)
+        found = minima(simpler, points_m, weights) if spare > 0 else []
+        if found and found[0].cost <= worth * float(square.sum()):
+            return FitRefused(
+                Cause.SIMPLER_SURFACE,
+                f"The fit of a {shape.KIND} does not settle, and a {simpler.KIND} fits the points as well",
+                f"Fit a {simpler.KIND}",
+            )
+    return FitRefused(
+        Cause.NO_CONVERGENCE,
+        f"The fit of a {shape.KIND} did not settle in {best.iterations} iterations",
+        "Name another surface, or measure a larger piece of this one",
+    )
 
 
 def _refined(start: Shape, checked: Points, weights: FloatArray) -> Optimum:

@@ -147,6 +147,16 @@ def test_points_that_give_no_surface_are_refused_by_cause(case: str) -> None:
     assert refusal.value.cause is cause
 
 
+@pytest.mark.parametrize("true", ["plane", "cylinder"])
+def test_a_cone_where_there_is_none_is_called_that(true: str) -> None:
+    """Whether it settles or not, which is a matter of rounding."""
+    for seed in range(20):
+        with pytest.raises(FitRefused) as refusal:
+            fit_surface("cone", cloud(true, seed, count=100).points_m)
+        assert refusal.value.cause in (Cause.SIMPLER_SURFACE, Cause.UNDETERMINED)
+        assert "simpler" in refusal.value.remedy or f"Fit a {true}" in refusal.value.remedy
+
+
 def test_a_flat_piece_does_not_determine_a_sphere() -> None:
     points = cloud("plane", seed=1, count=200).points_m
     with pytest.raises(FitRefused) as refusal:

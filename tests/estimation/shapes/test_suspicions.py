@@ -21,7 +21,7 @@ def test_sound_points_raise_no_suspicion(kind: str, count: int) -> None:
         assert [cause for cause, _ in said if cause is not Cause.AMBIGUOUS] == []
 
 
-@pytest.mark.parametrize("count", [20, 100, 2500])
+@pytest.mark.parametrize("count", [20, 60, 100, 2500])
 @pytest.mark.parametrize("named", list(KINDS))
 @pytest.mark.parametrize("true", list(KINDS))
 def test_another_surface_is_never_taken_for_the_named_one(true: str, named: str, count: int) -> None:
@@ -33,6 +33,12 @@ def test_another_surface_is_never_taken_for_the_named_one(true: str, named: str,
         except FitRefused:
             continue
         assert any(flag.cause is Cause.WRONG_SURFACE and flag.spoils for flag in fit.flags), fit.flags
+
+
+@pytest.mark.parametrize("seed", [12, 20, 27, 35])
+def test_sixty_points_of_a_sphere_are_no_cone(seed: int) -> None:
+    """Their distances look independent of those of their neighbours."""
+    assert _said("cone", cloud("sphere", seed, count=60).points_m) == [(Cause.WRONG_SURFACE, True)]
 
 
 def test_the_right_surface_is_named() -> None:
