@@ -2,8 +2,9 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import accumulate, compress
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from estimation.errors import EstimationError
 from estimation.transform import FloatArray, Transform
 
 POSE_FREEDOMS: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
+UNITS: Final = ("m", "rad", "rad/Nm")
 Value = Transform | FloatArray
 _ANGLES: Final = ("rx", "ry", "rz", "theta", "alpha", "beta", "tilt")  # labels that start so are in rad
 _RATIOS: Final = ("scale",)
@@ -55,9 +57,12 @@ class Belief:
     contributions: Mapping[str, FloatArray] = ()  # type: ignore[assignment]  # replaced by {} below
 
     def __post_init__(self) -> None:
+        if not self.contributions:
+            object.__setattr__(self, "contributions", {})
+            return
         size = self.size
         # Symmetric to the last bit, so that one triangle says everything.
-        symmetric = {source: 0.5 * (matrix + matrix.T) for source, matrix in dict(self.contributions).items()}
+        symmetric = {source: 0.5 * (matrix + matrix.T) for source, matrix in self.contributions.items()}
         for source, matrix in symmetric.items():
             if matrix.shape != (size, size) or not np.isfinite(matrix).all():
                 raise EstimationError(
@@ -86,6 +91,13 @@ class Belief:
         return np.array([each in block.flat for block in self.blocks for each in block.freedoms], np.bool_)
 
     @cached_property
+    def unit_codes(self) -> NDArray[np.intp]:
+        """(n,) place of the unit of each freedom in `UNITS`, or behind them for another one."""
+        units = [unit for block in self.blocks for unit in block.units]
+        every = list(dict.fromkeys((*UNITS, *units)))
+        return np.array([every.index(unit) for unit in units], dtype=np.intp)
+
+    @cached_property
     def prior_covariance(self) -> FloatArray:
         """(n, n): as the covariance, with zeros for flat freedoms."""
         total = np.zeros((self.size, self.size))
@@ -96,7 +108,7 @@ class Belief:
 
     @cached_property
     def _places(self) -> dict[str, tuple[Block, slice]]:
-        ends = np.cumsum([len(block.freedoms) for block in self.blocks]).tolist()
+        ends = accumulate(len(block.freedoms) for block in self.blocks)
         return {
             block.name: (block, slice(end - len(block.freedoms), end))
             for block, end in zip(self.blocks, ends, strict=True)
@@ -122,6 +134,11 @@ class Belief:
     def index(self, name: str) -> slice:
         """Where the freedoms of the block stand in the state."""
         return self._place(name)[1]
+
+    def columns(self, names: Iterable[str]) -> NDArray[np.intp]:
+        """Places of all freedoms of some blocks in the state."""
+        every = range(self.size)
+        return np.array([column for name in names for column in every[self.index(name)]], dtype=np.intp)
 
     def value(self, name: str) -> Value:
         """Value of the block: a Transform, or a vector."""
@@ -181,7 +198,7 @@ class Belief:
         if freedoms is None:
             freedoms = POSE_FREEDOMS if isinstance(held, Transform) else _element_names(name, held.size)
         if isinstance(held, Transform):
-            if list(freedoms) != [freedom for freedom in POSE_FREEDOMS if freedom in freedoms]:
+            if tuple(freedoms) != tuple(each for each in POSE_FREEDOMS if each in freedoms):
                 raise EstimationError(
                     f"Freedoms {', '.join(freedoms)} of pose {name!r}",
                     f"Choose some of {', '.join(POSE_FREEDOMS)}, in that order",
@@ -192,9 +209,8 @@ class Belief:
             )
         if not np.isfinite(held.matrix if isinstance(held, Transform) else held).all():
             raise EstimationError(f"Value of {name!r} is not finite", "Check what it comes from")
-        prior = _prior(name, len(freedoms), std, covariance)
-        flat = tuple(np.array(freedoms)[np.isinf(np.diag(prior))].tolist())
-        prior = np.where(np.isinf(prior), 0.0, prior)
+        prior, unknown = _prior(name, len(freedoms), std, covariance)
+        flat = tuple(compress(freedoms, unknown))
         units = tuple(units or [unit_of(label) for label in freedoms])
         block = Block(name, held, tuple(freedoms), units, flat)
         size, total = self.size, self.size + len(freedoms)
@@ -209,9 +225,7 @@ class Belief:
     def marginal(self, names: Iterable[str]) -> "Belief":
         """Only these blocks, in the order given; the others stay in the covariance as what they caused."""
         chosen = tuple(names)
-        order = np.concatenate(
-            [np.arange(self.size)[self.index(name)] for name in chosen] or [np.zeros(0, dtype=np.intp)]
-        ).astype(np.intp)
+        order = self.columns(chosen)
         grid = np.ix_(order, order)
         kept = {source: matrix[grid] for source, matrix in self.contributions.items()}
         return Belief(
@@ -235,14 +249,15 @@ class Belief:
     def started(self, values: Mapping[str, Value]) -> "Belief":
         """The same belief with other values of its flat blocks: where an estimator starts."""
         for name in values:
-            if set(self.block(name).flat) != set(self.block(name).freedoms):
+            if self.block(name).flat != self.block(name).freedoms:
                 raise EstimationError(
                     f"{name!r} has a prior", "Start from its value, or leave the block flat"
                 )
-        return Belief(
-            tuple(replace(block, value=values.get(block.name, block.value)) for block in self.blocks),
-            self.contributions,
+        blocks = tuple(
+            Block(each.name, values.get(each.name, each.value), each.freedoms, each.units, each.flat)
+            for each in self.blocks
         )
+        return Belief(blocks, self.contributions)
 
     def budget(self, jacobian: FloatArray) -> dict[str, FloatArray]:
         """Covariance G C_s G^T of quantities with jacobian G (..., k, n), source by source."""
@@ -343,14 +358,20 @@ def _element_names(name: str, count: int) -> tuple[str, ...]:
 
 def _prior(
     name: str, size: int, std: float | Sequence[float] | FloatArray | None, covariance: FloatArray | None
-) -> FloatArray:
+) -> tuple[FloatArray, Sequence[bool]]:
+    """Covariance with zeros for the freedoms of which nothing is known, and which those are."""
     if (std is None) == (covariance is None):
         raise EstimationError(f"Prior of {name!r}", "Give either std or covariance")
     if std is not None:
-        spread = np.broadcast_to(np.asarray(std, dtype=np.float64), (size,))
+        if isinstance(std, float) and std == np.inf:
+            return np.zeros((size, size)), [True] * size
+        spread = np.empty(size)
+        spread[:] = std
         if not (spread >= 0.0).all():
             raise EstimationError(f"Prior std of {name!r} is {spread}", "Give numbers, not below zero")
-        return np.diag(spread**2)
+        unknown = np.isinf(spread)
+        spread[unknown] = 0.0
+        return np.diag(spread**2), unknown.tolist()
     prior = np.asarray(covariance, dtype=np.float64)
     if prior.shape != (size, size) or not np.isfinite(prior).all() or not np.allclose(prior, prior.T):
         raise EstimationError(f"Prior of {name!r} is not a symmetric {size} x {size} matrix", "Check it")
@@ -358,7 +379,7 @@ def _prior(
     scale[scale == 0.0] = 1.0
     if np.linalg.eigvalsh(prior / np.outer(scale, scale))[0] < -_LARGEST_NEGATIVE * size:
         raise EstimationError(f"Prior of {name!r} has a negative variance in some direction", "Check it")
-    return prior
+    return prior, [False] * size
 
 
 def _restored(value: Any, frames: Sequence[str] | None) -> Value:

@@ -8,24 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estimation.chart import Chart, Point, solved
+from estimation.chart import Chart, solved
 from estimation.errors import ContradictingData, EstimationError
-from estimation.model import Rows
+from estimation.model import Descent, DescentLimits, Ended, Passes, Point, Rows
 from estimation.transform import FloatArray
 
 Robust = Literal["none", "huber", "cauchy"]
 LARGEST_REJECTED_SHARE: Final = 0.1
 _TUNING: Final[Mapping[Robust, float]] = {"huber": 1.345, "cauchy": 2.385}  # 95 % efficient on honest noise
-_LARGEST_ITERATIONS: Final = 50
 _REWEIGHTINGS: Final = 4  # passes with the noise variance taken at the latest estimate
 _ROBUST_PASSES: Final = 12
 _MEDIAN: Final = 0.6745  # of the size of a standard normal variable
 SMALLEST_VARIANCE: Final = 1e-30  # m^2: a row without any noise has no finite weight
 _FIRST_TOLERANCE: Final = 1e-2  # standard deviations, for passes that only prepare the next
-_ROUNDING: Final = 1e-14  # of the cost
-_ROUNDING_M: Final = 1e-15  # of a residual, coordinates being of the size of a metre
-_POLISHING_STEPS: Final = 3
-_LARGEST_DAMPING: Final = 1e12
+# Coordinates are of the size of a metre, which is what residuals are rounded by.
+_LIMITS: Final = DescentLimits(
+    iterations=50, polishing_steps=3, rounding_m=1e-15, rounding=1e-14, largest_damping=1e12
+)
+_REASONS: Final[Mapping[Ended, str]] = {
+    Ended.SMALL: "step and gradient small",
+    Ended.FLOOR: "cost at its rounding",
+    Ended.STUCK: "No step lowers the cost, gradient {gradient:.3g}, limit {tolerance:.3g}",
+    Ended.LONG: "No convergence in {iterations} iterations: last step {last_step:.3g} standard deviations, "
+    "limit {tolerance:.3g}",
+}
 _NEAR_START: Final = "Check that the nominal poses are near the real ones, and the readings"
 
 
@@ -47,20 +53,21 @@ class Fit:
             raise EstimationError(self.stop_reason, _NEAR_START)
 
 
-def _solve(
-    chart: Chart, start: Point, weight: FloatArray, tolerance: float
-) -> tuple[Point, tuple[float, ...], str, bool]:
-    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds to the cost.
+def _solve(chart: Chart, start: Point, weight: FloatArray, tolerance: float) -> Descent:
+    """Levenberg-Marquardt in z with fixed weights (m,) = 1/sigma per row; the prior adds to the cost."""
+    if chart.compiled is None:
+        return _in_steps(chart, start, weight, tolerance)
+    return chart.compiled.descent(start[0], weight, chart.prior_rows, tolerance, _LIMITS)
 
-    Returns where it ended, the costs on the way, why it stopped, and whether that is a minimum.
-    """
+
+def _in_steps(chart: Chart, start: Point, weight: FloatArray, tolerance: float) -> Descent:
     z, rows, jacobian = start
     prior = chart.prior_rows
     prior_normal = np.diag(prior)
     residual = weight * rows.residual_m
     cost = float(residual @ residual + z @ (prior * z))
     costs, damping, growth, last_step, polished = [cost], 0.0, 2.0, np.inf, 0
-    for _ in range(_LARGEST_ITERATIONS):
+    for _ in range(_LIMITS.iterations):
         whitened = weight[:, None] * jacobian
         normal = whitened.T @ whitened + prior_normal
         gradient = whitened.T @ residual + prior * z
@@ -69,11 +76,11 @@ def _solve(
         expected = max(float(-gradient @ newton), 0.0)  # the undamped step squared, in posterior sigmas
         steepest = float(np.max(np.abs(gradient) / np.sqrt(np.diag(normal)), initial=0.0))
         if steepest <= tolerance and min(last_step, np.sqrt(expected)) <= tolerance:
-            return (z, rows, jacobian), tuple(costs), "step and gradient small", True
-        if polished >= _POLISHING_STEPS:
-            return (z, rows, jacobian), tuple(costs), "cost at its rounding", True
+            return Descent(Ended.SMALL, (z, rows, jacobian), (tuple(costs),), steepest, last_step)
+        if polished >= _LIMITS.polishing_steps:
+            return Descent(Ended.FLOOR, (z, rows, jacobian), (tuple(costs),), steepest, last_step)
         # Below the rounding of the cost no step can prove that it helps: take a few in good faith.
-        rounding = _ROUNDING_M * float(np.linalg.norm(residual * weight)) + _ROUNDING * cost
+        rounding = _LIMITS.rounding_m * float(np.linalg.norm(residual * weight)) + _LIMITS.rounding * cost
         at_floor = expected <= rounding
         polished += at_floor
         while True:
@@ -90,9 +97,8 @@ def _solve(
             if trial_cost <= cost or at_floor:
                 trial_cost = min(trial_cost, cost)
                 break
-            if damping > _LARGEST_DAMPING:
-                stuck = f"No step lowers the cost, gradient {steepest:.3g}, limit {tolerance:.3g}"
-                return (z, rows, jacobian), tuple(costs), stuck, False
+            if damping > _LIMITS.largest_damping:
+                return Descent(Ended.STUCK, (z, rows, jacobian), (tuple(costs),), steepest, last_step)
             damping, growth = max(damping * growth, 1e-3), growth * 2.0
         # Nielsen's rule: the better the linear model did, the less damping; a good step needs none.
         damping = 0.0 if gain > 0.9 else damping * max(1 / 3, 1 - (2 * gain - 1) ** 3)
@@ -100,11 +106,7 @@ def _solve(
         last_step = float(np.sqrt(np.maximum(step @ normal @ step, 0.0)))
         z, rows, jacobian, residual, cost = trial, trial_rows, trial_jacobian, trial_residual, trial_cost
         costs.append(cost)
-    unsettled = (
-        f"No convergence in {_LARGEST_ITERATIONS} iterations: last step {last_step:.3g} standard deviations, "
-        f"limit {tolerance:.3g}"
-    )
-    return (z, rows, jacobian), tuple(costs), unsettled, False
+    return Descent(Ended.LONG, (z, rows, jacobian), (tuple(costs),), steepest, last_step)
 
 
 def reweighted(
@@ -114,22 +116,41 @@ def reweighted(
 
     `known` is the point at z when its rows are there already.
     """
+    # The first variance is that of the prior's values: no use in converging to the last digit with it.
+    passes = Passes(_REWEIGHTINGS, max(tolerance, _FIRST_TOLERANCE), tolerance, SMALLEST_VARIANCE)
+    if chart.compiled is None:
+        found = _in_passes(chart, z, used, passes, known)
+    else:
+        found = chart.compiled.reweighted(z, used, chart.prior_rows, passes, _LIMITS)
+    reason = _REASONS[found.ended].format(
+        gradient=found.gradient,
+        last_step=found.last_step,
+        tolerance=tolerance if len(found.costs) > 1 else passes.first_tolerance,
+        iterations=_LIMITS.iterations,
+    )
+    return Fit(*found.point, used, found.costs, reason, found.ended <= Ended.FLOOR)
+
+
+def _in_passes(
+    chart: Chart, z: FloatArray, used: NDArray[np.bool_], passes: Passes, known: Point | None
+) -> Descent:
     chart, point = _weighed(chart, z, known)
     variance = row_variance(point[1])
-    costs: list[tuple[float, ...]] = []
-    for number in range(_REWEIGHTINGS):
-        # The first variance is that of the prior's values: no use in converging to the last digit with it.
-        limit = tolerance if number else max(tolerance, _FIRST_TOLERANCE)
-        reached, course, reason, converged = _solve(chart, point, used / np.sqrt(variance), limit)
-        costs.append(course)
+    costs: tuple[tuple[float, ...], ...] = ()
+    for number in range(passes.most):
+        tolerance = passes.tolerance if number else passes.first_tolerance
+        found = _solve(chart, point, used / np.sqrt(variance), tolerance)
+        costs, reached = costs + found.costs, found.point
         chart, point = _weighed(chart, reached[0], reached)
         latest = row_variance(point[1])
-        turned = np.max(np.abs(point[1].residual_m - reached[1].residual_m) / np.sqrt(variance))
-        settled = max(np.max(np.abs(latest / variance - 1.0)), turned) < tolerance
+        settled = np.max(np.abs(latest / variance - 1.0)) < passes.tolerance
+        if settled and point is not reached:
+            turned = np.max(np.abs(point[1].residual_m - reached[1].residual_m) / np.sqrt(variance))
+            settled = turned < passes.tolerance
         variance = latest
-        if not converged or (settled and number):
+        if found.ended > Ended.FLOOR or (settled and number):
             break
-    return Fit(*point, used, tuple(costs), reason, converged)
+    return found._replace(point=point, costs=costs)
 
 
 def _weighed(chart: Chart, z: FloatArray, known: Point | None = None) -> tuple[Chart, Point]:
@@ -156,7 +177,7 @@ def robust_start(chart: Chart, z: FloatArray, robust: Robust) -> FloatArray:
         before, rows, _ = point
         size = _sizes(rows, scale) / _TUNING[robust]
         weight = np.maximum(size, 1.0) ** -0.5 if robust == "huber" else (1.0 + size**2) ** -0.5
-        point = _solve(chart, point, np.repeat(weight, rows.group) / sigma, _FIRST_TOLERANCE)[0]
+        point = _solve(chart, point, np.repeat(weight, rows.group) / sigma, _FIRST_TOLERANCE).point
         if np.max(np.abs(point[0] - before) * unit, initial=0.0) < _FIRST_TOLERANCE:
             break
         scale = sigma = np.sqrt(row_variance(point[1]))

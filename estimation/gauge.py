@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.belief import Belief
-from estimation.observability import RANK_TOLERANCE, freedom_words, null_space
+from estimation.observability import RANK_TOLERANCE, freedom_words, spectrum_of
 from estimation.transform import FloatArray, Transform
 
 _TAKES_PART: Final = 0.02  # of a unit direction: smaller components are other directions leaking in
@@ -68,8 +68,9 @@ def gauges(
     columns = np.flatnonzero(belief.flat)
     if not len(columns):
         return ()
-    _, _, whole, scale = null_space(belief, jacobian, variance, columns, tolerance)
-    whole = _harmless(whole, scale, columns, effect, tolerance)
+    seen = spectrum_of(belief, jacobian, variance, columns, tolerance)
+    scale = seen.scale
+    whole = _harmless(seen.null, scale, columns, effect, tolerance)
     labels = [belief.labels[column] for column in columns]
     places = {label: place for place, label in enumerate(labels)}
     held: list[int] = []

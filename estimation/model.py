@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from enum import IntEnum
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
@@ -32,7 +34,9 @@ class Rows:
     @property
     def noise_variance(self) -> FloatArray:
         """Q as a diagonal (m,), m^2: sum of K_s^2 sigma_s^2 over the sources."""
-        total: FloatArray = np.sum(list(self.noise.values()), axis=0)
+        total: FloatArray = np.zeros(len(self.residual_m))
+        for variance in self.noise.values():
+            total += variance
         return total
 
     def dense(self, belief: Belief) -> FloatArray:
@@ -42,6 +46,9 @@ class Rows:
             if name in belief:
                 dense[:, belief.index(name)] = matrix[:, belief.block(name).active]
         return dense
+
+
+Point = tuple[FloatArray, Rows, FloatArray]  # z, rows there, Jacobian (m, n) by z
 
 
 class Model(Protocol):
@@ -59,6 +66,81 @@ class Model(Protocol):
         With fixed weights the estimator has one cost to lower. A model of scalar rows, which whitens
         nothing, returns itself.
         """
+
+
+class Ended(IntEnum):
+    """Why a descent ended; at the first two it has found a minimum."""
+
+    SMALL = 0
+    FLOOR = 1
+    STUCK = 2
+    LONG = 3
+    INFINITE = 4
+
+
+class DescentLimits(NamedTuple):
+    """When a descent gives up; `rounding` is relative to the cost, `rounding_m` of a residual."""
+
+    iterations: int
+    polishing_steps: int
+    rounding_m: float
+    rounding: float
+    largest_damping: float
+
+
+class Passes(NamedTuple):
+    """Descents one after another: tolerances in standard deviations, and least variance of a row, m^2."""
+
+    most: int
+    first_tolerance: float
+    tolerance: float
+    least_variance: float
+
+
+class Descent(NamedTuple):
+    """Where descents ended, the last of them for what is one number.
+
+    `costs` of each accepted iterate, one tuple for each descent; `gradient` is the largest, and like
+    `last_step` in standard deviations.
+    """
+
+    ended: Ended
+    point: Point
+    costs: tuple[tuple[float, ...], ...]
+    gradient: float
+    last_step: float
+
+
+class CompiledModel(Protocol):
+    """A model and a chart of its state in one piece: the same numbers without a call for each step."""
+
+    def at(self, z: FloatArray) -> Point:
+        """Rows at z (n,)."""
+
+    def descent(
+        self, z: FloatArray, weight: FloatArray, prior: FloatArray, tolerance: float, limits: DescentLimits
+    ) -> Descent:
+        """Levenberg-Marquardt from z with weights (m,) and prior rows (n,).
+
+        Raises DegenerateGeometry where the rows leave an unknown open, EstimationError where they are not
+        finite.
+        """
+
+    def reweighted(
+        self,
+        z: FloatArray,
+        used: NDArray[np.bool_],
+        prior: FloatArray,
+        passes: Passes,
+        limits: DescentLimits,
+    ) -> Descent:
+        """Descents from z with the weights of each where the one before it ended; raises as `descent`."""
+
+
+def compiled_model(model: Model, belief: Belief, root: FloatArray) -> CompiledModel | None:
+    """The compiled form of a model that has one for such a belief; r0 = root z as in `Chart`."""
+    make = getattr(model, "compiled", None)
+    return None if make is None else make(belief, root)
 
 
 def evaluate(belief: Belief, model: Model) -> Rows:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-from estimation.belief import POSE_FREEDOMS, Belief
+from estimation.belief import POSE_FREEDOMS, UNITS, Belief
+from estimation.compiling import compiled
 from estimation.errors import DegenerateGeometry
 from estimation.transform import FloatArray, Transform
 
@@ -16,6 +17,9 @@ from estimation.transform import FloatArray, Transform
 # (and a standard deviation of 0.8 mm), equal orientations with settling errors of 0.005 deg less than 1e-4.
 RANK_TOLERANCE: Final = 1e-3
 _SHORTEST_LEVER_M: Final = 1e-6  # between an angle and what it moves
+_ROUNDING: Final = 1e-12  # of the smallest eigenvalue over the largest
+_METRE, _RADIAN, _YIELD = (UNITS.index(unit) for unit in ("m", "rad", "rad/Nm"))
+_SMALLEST: Final = float(np.finfo(float).tiny)
 _LOADED: Final = 1e-6  # of the joint that is loaded most
 _HELD_RATIO: Final = 0.9  # of posterior over prior std: the data say next to nothing
 _NAMED_SHARE: Final = 0.1  # of the largest component: smaller ones are not worth a word
@@ -65,29 +69,40 @@ class RankReport:
             )
 
 
-def rank_report(
-    prior: Belief,
-    posterior: Belief,
-    jacobian: FloatArray,
-    variance: FloatArray,
-    targets: Sequence[str],
-    tolerance: float = RANK_TOLERANCE,
-) -> RankReport:
-    """Scale-free rank test of some blocks.
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """Singular values of some whitened columns over their scale.
 
-    Parameters
+    Attributes
     ----------
-    jacobian, variance : (m, n) by the state of the belief, and (m,) m^2; independent rows.
-    targets : the blocks to test. Directions held only by the prior are sought among these as well.
-    tolerance : smallest over largest singular value that counts as information.
+    columns : (q,) of the state.
+    singular_values : (q,) largest first.
+    null : (k, q) directions below the tolerance; over the scale, in the unit of each freedom.
+    scale : (q,).
     """
-    columns = np.concatenate([np.arange(prior.size)[prior.index(name)] for name in targets]).astype(np.intp)
-    rank, singular, null, scale = null_space(prior, jacobian, variance, columns, tolerance)
+
+    columns: NDArray[np.intp]
+    singular_values: FloatArray
+    null: FloatArray
+    scale: FloatArray
+
+    @property
+    def rank(self) -> int:
+        """How many directions the data determine."""
+        return len(self.columns) - len(self.null)
+
+
+def rank_report(prior: Belief, posterior: Belief, spectrum: Spectrum) -> RankReport:
+    """Scale-free rank test of the blocks whose columns the spectrum is of.
+
+    Directions held only by the prior are sought among these as well.
+    """
+    columns, scale = spectrum.columns, spectrum.scale
     return RankReport(
-        rank=rank,
+        rank=spectrum.rank,
         unknowns=len(columns),
-        singular_values=singular,
-        missing=_directions(prior, columns, null, scale, False),
+        singular_values=spectrum.singular_values,
+        missing=_directions(prior, columns, spectrum.null, scale, False),
         held_by_prior=_held(prior, posterior, columns, scale),
     )
 
@@ -97,54 +112,72 @@ def require_determined(
 ) -> None:
     """Raise DegenerateGeometry, with the directions in words, unless the data determine the flat freedoms.
 
-    jacobian (m, n) by the state of the belief and variance (m,), m^2, as in `rank_report`.
+    jacobian (m, n) by the state of the belief and variance (m,), m^2, as in `spectrum_of`.
     """
     columns = np.flatnonzero(belief.flat)
     if len(columns):
-        rank, singular, null, scale = null_space(belief, jacobian, variance, columns, tolerance)
-        missing = _directions(belief, columns, null, scale, False)
-        RankReport(rank, len(columns), singular, missing, ()).require()
+        found = spectrum_of(belief, jacobian, variance, columns, tolerance)
+        missing = _directions(belief, columns, found.null, found.scale, False)
+        RankReport(found.rank, len(columns), found.singular_values, missing, ()).require()
 
 
-def null_space(
-    belief: Belief, jacobian: FloatArray, variance: FloatArray, columns: NDArray[np.intp], tolerance: float
-) -> tuple[int, FloatArray, FloatArray, FloatArray]:
-    """Rank, singular values, null space (k, q) and the scale (q,) of its columns.
+def spectrum_of(
+    belief: Belief,
+    jacobian: FloatArray,
+    variance: FloatArray,
+    columns: NDArray[np.intp],
+    tolerance: float = RANK_TOLERANCE,
+) -> Spectrum:
+    """What independent rows say of some columns of the state.
 
-    jacobian (m, n) by the state and variance (m,), m^2, as in `rank_report`; `columns` (q,) of the state. A
-    null direction over its scale is one of the state, in the unit of each freedom.
+    jacobian (m, n) by the state of the belief, variance (m,) m^2; `tolerance` is the smallest over the
+    largest singular value that counts as information.
     """
-    whitened = jacobian[:, columns] / np.sqrt(np.maximum(variance, np.finfo(float).tiny))[:, None]
-    every_unit = [unit for block in belief.blocks for unit in block.units]
-    units = np.array(every_unit)[columns]
-    length = np.linalg.norm(whitened, axis=0)
+    scaled, scale, squares = _scaled(jacobian[:, columns], variance, belief.unit_codes[columns])
+    if squares[0] > (tolerance**2 + _ROUNDING) * squares[-1]:  # clear without the dearer singular vectors
+        return Spectrum(columns, np.sqrt(squares[::-1]), np.zeros((0, len(columns))), scale)
+    # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
+    if len(scaled) < len(columns):
+        scaled = np.vstack([scaled, np.zeros((len(columns) - len(scaled), len(columns)))])
+    _, singular, right = np.linalg.svd(scaled, full_matrices=False)
+    rank = int(np.sum(singular > tolerance * max(singular[0], _SMALLEST)))
+    return Spectrum(columns, singular, right[rank:], scale)
+
+
+@compiled
+def _scaled(
+    jacobian: FloatArray, variance: FloatArray, units: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Whitened columns (m, q) over their scale, the scale (q,), and the squared singular values, rising."""
+    whitened = jacobian / np.sqrt(np.maximum(variance, _SMALLEST)).reshape(-1, 1)
+    length = np.sqrt(np.sum(whitened**2, axis=0))
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
-    scale = np.array([length[units == unit].max() for unit in units])
+    longest = np.zeros(len(units) + len(UNITS))
+    for j in range(len(units)):
+        longest[units[j]] = max(longest[units[j]], length[j])
     # Where all angles are next to nothing, rounding is not information.
-    metres = float(length[units == "m"].max(initial=0.0))
-    scale[(units == "rad") & (scale < _SHORTEST_LEVER_M * metres)] = metres
+    if longest[_RADIAN] < _SHORTEST_LEVER_M * longest[_METRE]:
+        longest[_RADIAN] = longest[_METRE]
+    scale = longest[units]
     # But joints yield as differently as their loads are: of these each has its own, if it has a load at all.
-    yields = (units == "rad/Nm") & (length > _LOADED * scale)
-    scale[yields] = length[yields]
-    scale[scale == 0.0] = 1.0
+    scale = np.where((units == _YIELD) & (length > _LOADED * scale), length, scale)
+    scale = np.where(scale > 0.0, scale, 1.0)
     scaled = whitened / scale
-    # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
-    padding = np.zeros((max(len(columns) - len(scaled), 0), len(columns)))
-    _, singular, right = np.linalg.svd(np.vstack([scaled, padding]), full_matrices=False)
-    rank = int(np.sum(singular > tolerance * max(singular[0], np.finfo(float).tiny)))
-    return rank, singular, right[rank:], scale
+    return scaled, scale, np.linalg.eigvalsh(scaled.T @ scaled).astype(np.float64)
 
 
 def _held(
     prior: Belief, posterior: Belief, columns: NDArray[np.intp], worth: FloatArray
 ) -> tuple[Direction, ...]:
     """Directions in which the posterior is as wide as the prior."""
-    grid = np.ix_(columns, columns)
+    if not prior.contributions:
+        return ()
     std = np.sqrt(np.diag(prior.prior_covariance)[columns])
     known = std == 0.0  # exactly known, or flat: there is no prior to hold anything
     if known.all():
         return ()
+    grid = np.ix_(columns, columns)
     free = ~known
     small = np.ix_(free, free)
     scale = std[free]

@@ -1,6 +1,6 @@
 """Joint MAP estimate of a belief from observations: damped Gauss-Newton on the manifold."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from estimation.belief import Belief
-from estimation.chart import Chart, Point, prior_rows, solved, square_root
+from estimation.chart import Chart, prior_rows, solved, square_root, undetermined
 from estimation.errors import EstimationError
-from estimation.fitting import SMALLEST_VARIANCE, Fit, Robust, gated, reweighted, robust_start, row_variance
-from estimation.model import Model, evaluate
-from estimation.observability import RANK_TOLERANCE, RankReport, rank_report, require_determined
+from estimation.fitting import Fit, Robust, gated, reweighted, robust_start, row_variance
+from estimation.model import Model, Point, Rows, evaluate
+from estimation.observability import RANK_TOLERANCE, RankReport, rank_report, require_determined, spectrum_of
+from estimation.posterior import after
 from estimation.statistics import ChiSquareTest, chi_square_two_sided
 from estimation.transform import FloatArray
 
@@ -187,10 +188,13 @@ def predicted_belief(belief: Belief, model: Model, phase: str = "") -> Belief:
     Raises DegenerateGeometry when they leave a direction of the flat freedoms open.
     """
     rows = evaluate(belief, model)
-    dense, root = rows.dense(belief), square_root(belief.prior_covariance)
-    require_determined(belief, dense, rows.noise_variance)
-    gain = _gain(root, prior_rows(belief, root), dense, rows.noise)
-    return belief.replaced({}, _posterior(belief, gain, np.eye(belief.size), dense, rows.noise, phase))
+    dense, variance = rows.dense(belief), row_variance(rows)
+    require_determined(belief, dense, variance)
+    root, used = square_root(belief.prior_covariance), np.ones(len(rows.residual_m), dtype=np.bool_)
+    prior = prior_rows(belief, root)
+    return belief.replaced(
+        {}, _posterior(belief, root, prior, np.eye(belief.size), rows, dense, variance, used, phase)[0]
+    )
 
 
 def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tolerance: float) -> Update:
@@ -200,36 +204,28 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tol
     for name, inverse in poses.items():
         place = belief.index(name)
         to_body[place, place] = inverse[belief.block(name).active]
-    at_posterior = belief.replaced(values, belief.contributions)
-    dense, variance = rows.dense(at_posterior), row_variance(rows)
-    require_determined(belief, dense[used], variance[used], rank_tolerance)
-    noise = {source: each[used] for source, each in rows.noise.items()}
-    gain = _gain(to_body @ chart.root, chart.prior_rows, dense[used], noise)
-    posterior = belief.replaced(values, _posterior(belief, gain, to_body, dense[used], noise, phase))
-    spread = _quadratic(dense, posterior.covariance)
-    # r = H d + noise, where d holds -K noise of the used rows; the same in joint and consider treatment.
-    own_gain = np.zeros(len(used))
-    own_gain[used] = np.einsum("mn,nm->m", dense[used], gain)
-    own = spread + variance * np.where(used, 1.0 - 2.0 * own_gain, 1.0)
-    leverage = np.clip(own_gain, 0.0, 1.0)
-    standardised = np.where(
-        own > 1e-9 * variance, rows.residual_m / np.sqrt(np.maximum(own, SMALLEST_VARIANCE)), 0.0
-    )
+    dense, variance = rows.dense(belief), row_variance(rows)
+    kept, kept_variance = dense[used], variance[used]
     flat = [block.name for block in belief.blocks if block.flat and block.name not in targets]
-    named = (*targets, *flat)
-    final = _joint_chi2(chart, fit, to_body, dense[used], variance[used])
+    columns = belief.columns((*targets, *flat))
+    spectrum = spectrum_of(belief, kept, kept_variance, columns, rank_tolerance) if len(columns) else None
+    if spectrum is not None and len(spectrum.null):  # is it the flat freedoms that are open?
+        require_determined(belief, kept, kept_variance, rank_tolerance)
+    contributions, leverage, standardised = _posterior(
+        belief, chart.root, chart.prior_rows, to_body, rows, dense, variance, used, phase
+    )
+    posterior = belief.replaced(values, contributions)
+    final = _joint_chi2(chart, fit, to_body, kept, kept_variance)
     return Update(
         belief=posterior,
         chi2=final,
-        dof=int(np.sum(used)) - int(np.sum(belief.flat)),
+        dof=int(np.count_nonzero(used) - np.count_nonzero(belief.flat)),
         residual_m=rows.residual_m,
         standardised=standardised,
         leverage=leverage,
         rejected=~used,
         group=rows.group,
-        rank=rank_report(belief, posterior, dense[used], variance[used], named, rank_tolerance)
-        if named
-        else None,
+        rank=None if spectrum is None else rank_report(belief, posterior, spectrum),
         iterations=sum(len(course) - 1 for course in fit.costs),
         initial_cost=fit.costs[0][0],
         final_cost=final,
@@ -238,36 +234,33 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tol
     )
 
 
-def _gain(
-    root: FloatArray, prior: FloatArray, dense: FloatArray, noise: Mapping[str, FloatArray]
-) -> FloatArray:
-    """K (n, m) of rows in the chart r0 = root z, whose z have the prior rows `prior` (n,)."""
-    sigma = np.sqrt(np.maximum(np.sum(list(noise.values()), axis=0), SMALLEST_VARIANCE))
-    whitened = (dense @ root) / sigma[:, None]
-    gain: FloatArray = root @ solved(whitened.T @ whitened + np.diag(prior), whitened.T) / sigma
-    return gain
-
-
 def _posterior(
     belief: Belief,
-    gain: FloatArray,
+    root: FloatArray,
+    prior: FloatArray,
     to_body: FloatArray,
+    rows: Rows,
     dense: FloatArray,
-    noise: Mapping[str, FloatArray],
+    variance: FloatArray,
+    used: NDArray[np.bool_],
     phase: str,
-) -> dict[str, FloatArray]:
-    """Contributions after an update. Joseph form: error = (I - K H) B^-1 prior error - K noise.
-
-    A flat freedom has no prior error, and I - K H is zero along it.
-    """
-    kept = (np.eye(belief.size) - gain @ dense) @ to_body
-    contributions = {source: kept @ matrix @ kept.T for source, matrix in belief.contributions.items()}
-    for source, variance in noise.items():
-        if variance.any():
-            label = f"{phase} {source}".strip()
-            added = (gain * variance) @ gain.T
-            contributions[label] = contributions[label] + added if label in contributions else added
-    return contributions
+) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
+    """Contributions by source after an update, leverage (m,) and standardised residuals (m,)."""
+    size = belief.size
+    before = np.array(list(belief.contributions.values())).reshape(-1, size, size)
+    noise = {source: own for source, own in rows.noise.items() if own.any()}
+    variances = np.array(list(noise.values())).reshape(-1, len(used))
+    try:
+        left, added, leverage, standardised = after(
+            root, prior, to_body, dense, variance, used, before, variances, rows.residual_m
+        )
+    except np.linalg.LinAlgError as error:
+        raise undetermined() from error
+    contributions = dict(zip(belief.contributions, left, strict=True))
+    for source, matrix in zip(noise, added, strict=True):
+        label = f"{phase} {source}".strip()
+        contributions[label] = contributions[label] + matrix if label in contributions else matrix
+    return contributions, leverage, standardised
 
 
 def _joint_chi2(
@@ -286,8 +279,3 @@ def _joint_chi2(
     return float(
         innovation @ innovation - projected @ solved(whitened.T @ whitened + np.diag(prior), projected)
     )
-
-
-def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Diagonal (m,) of rows @ matrix @ rows^T."""
-    return np.asarray(np.einsum("mn,mn->m", rows @ matrix, rows))

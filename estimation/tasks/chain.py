@@ -13,6 +13,7 @@ from estimation.covariance import adjoint
 from estimation.model import Rows, pose_of, vector_of
 from estimation.surfaces import Feature, cross, feature_table, signed_distance
 from estimation.tasks.motion import Motion
+from estimation.tasks.plane_chain import COMPILED, PlaneChain
 from estimation.transform import FloatArray, skew
 
 SENSOR_NOISE: Final = "sensor noise"
@@ -150,6 +151,34 @@ class SensorChain:
             return self
         free = replace(self, whitener=None)  # not what it was given before
         return replace(self, whitener=free._rows(values)[1])
+
+    def compiled(self, belief: Belief, root: FloatArray) -> PlaneChain | None:
+        """Rows and descent in one piece, where planes are seen and only mount and object are unknown."""
+        if (
+            not COMPILED
+            or self.beside
+            or not isinstance(self.target, Surfaces)
+            or belief.names != (self.sensor, self.object)
+            or not (table := feature_table(self.target.features)).plane
+            or table.blocks
+        ):
+            return None
+        place, index = self.readings.pose_index, self.target.index
+        flange = self.motion.at({})
+        normals = table.axis[index]
+        return PlaneChain(
+            root,
+            (belief.transform(self.sensor), belief.block(self.sensor).active),
+            (belief.transform(self.object), belief.block(self.object).active),
+            np.ascontiguousarray(flange.pose[place]),
+            np.ascontiguousarray(self.readings.points_m),
+            normals,
+            np.einsum("mi,mi->m", normals, table.point_m[index]),
+            np.ascontiguousarray(flange.covariance[place]),
+            np.ascontiguousarray(self.readings.covariance),
+            (self.sensor, self.object),
+            (self.motion.noise, SENSOR_NOISE),
+        )
 
     def rows(self, values: Mapping[str, Value]) -> Rows:
         """Residuals and derivatives. Raises EstimationError when a block is missing."""

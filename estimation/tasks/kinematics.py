@@ -17,7 +17,7 @@ from estimation.errors import EstimationError
 from estimation.gauge import Gauge
 from estimation.kinematics import PARAMETER_NAMES, ArmModel
 from estimation.model import values_of
-from estimation.observability import Direction, rank_report
+from estimation.observability import Direction, rank_report, spectrum_of
 from estimation.tasks import checks
 from estimation.tasks.arm_gauge import arm_gauges
 from estimation.tasks.chain import SensorChain
@@ -236,7 +236,9 @@ def calibrate(problem: KinematicTask, explain: bool = True) -> Calibrated:
 def _held_by_prior(problem: KinematicTask, result: Result) -> tuple[Direction, ...]:
     rows, used = problem.model().rows(result.values), ~result.rejected
     dense, variance = rows.dense(result.belief)[used], rows.noise_variance[used]
-    return rank_report(problem.belief(), result.belief, dense, variance, (KINEMATICS,)).held_by_prior
+    belief = problem.belief()
+    spectrum = spectrum_of(belief, dense, variance, belief.columns([KINEMATICS]))
+    return rank_report(belief, result.belief, spectrum).held_by_prior
 
 
 def _std_of(motion: Joints) -> dict[tuple[int, str], float]:

@@ -94,9 +94,13 @@ class Poses:
         return belief
 
     def at(self, values: Mapping[str, Value]) -> Flange:
-        own = np.diag(np.repeat([self.std_m**2, self.std_rad**2], 3))
-        covariance = own if self.covariance is None else self.covariance
-        return Flange(self.base_T_flange, {}, np.broadcast_to(covariance, (len(self), 6, 6)))
+        covariance = np.zeros((len(self), 6, 6))
+        if self.covariance is not None:
+            covariance[:] = self.covariance
+        else:
+            diagonal = np.einsum("kii->ki", covariance)
+            diagonal[:, :3], diagonal[:, 3:] = self.std_m**2, self.std_rad**2
+        return Flange(self.base_T_flange, {}, covariance)
 
     def check(self) -> Sequence[Finding]:
         poses = {"base_T_flange": self.base_T_flange}

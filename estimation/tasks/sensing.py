@@ -171,8 +171,9 @@ class SensorTask:
         if self.mount is not None and self.mount_covariance is not None:
             belief = belief.with_block(self.sensor, pose, covariance=self.mount_covariance, freedoms=freedoms)
         else:
-            std = np.inf if self.mount is None or self.mount_std is None else self.mount_std
-            belief = belief.with_block(self.sensor, pose, std=np.asarray(std), freedoms=freedoms)
+            known = self.mount is not None and self.mount_std is not None
+            std = np.asarray(self.mount_std, dtype=np.float64) if known else np.inf
+            belief = belief.with_block(self.sensor, pose, std=std, freedoms=freedoms)
         holder = Transform(far, self.object, np.eye(4))
         belief = belief.with_block(self.object, holder, std=np.inf, freedoms=self.object_freedoms)
         if self.scale_std:
@@ -298,7 +299,7 @@ def along_z(reading_m: FloatArray, std_m: float | FloatArray) -> Readings:
     count = len(reading_m)
     points, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     points[:, 2] = reading_m
-    covariance[:, 2, 2] = np.broadcast_to(std_m, count) ** 2
+    covariance[:, 2, 2] = np.square(std_m)
     return Readings(points, covariance, np.arange(count))
 
 

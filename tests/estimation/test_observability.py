@@ -4,7 +4,7 @@ import pytest
 from estimation.belief import Belief
 from estimation.errors import DegenerateGeometry
 from estimation.measurement import Chain
-from estimation.observability import RankReport
+from estimation.observability import RankReport, rank_report, spectrum_of
 from estimation.solver import update
 from estimation.transform import FloatArray, Transform
 from tests.estimation import twin, twin_poses
@@ -87,14 +87,13 @@ def test_the_rank_does_not_depend_on_units() -> None:
     """Millimetres or metres: a laser 1000 times smaller and nearer has the same singular values."""
     belief = Belief().with_block("laser", Transform("flange", "laser", np.eye(4)), std=1e-3)
     belief = belief.with_block("plate", Transform("base", "plate", np.eye(4)), std=1e-3)
-    from estimation.observability import rank_report
-
+    columns = belief.columns(HAND_EYE)
     rng = np.random.default_rng(3)
     jacobian = rng.normal(size=(20, 12))
     jacobian[:, 11] = jacobian[:, 10] * 2
     small = jacobian * np.where(np.arange(12) % 6 < 3, 1.0, 1e-6)
-    one = rank_report(belief, belief, jacobian, np.ones(20), HAND_EYE)
-    other = rank_report(belief, belief, small, np.full(20, 1e-12), HAND_EYE)
+    one = rank_report(belief, belief, spectrum_of(belief, jacobian, np.ones(20), columns))
+    other = rank_report(belief, belief, spectrum_of(belief, small, np.full(20, 1e-12), columns))
     assert one.rank == other.rank == 11
     assert one.singular_values == pytest.approx(other.singular_values, rel=1e-9, abs=1e-12)
     assert one.missing[0].words == other.missing[0].words
