@@ -10,7 +10,13 @@ if hasattr(os, "sched_setaffinity"):  # Open3D asks nobody how many threads it m
 
 from pathlib import Path  # noqa: E402
 
-from benchmarks import ellipsoids, fits, growth, localization, planning, replicas, single  # noqa: E402
+try:
+    from benchmarks import ellipsoids, fits, growth, localization, planning, replicas, single
+except ImportError as error:
+    raise SystemExit(
+        f"A peer could not be loaded: {error}. Run `make bench`, which installs them; where a library of the "
+        "system is missing, on Debian: apt install libusb-1.0-0 libgl1 libgomp1"
+    ) from None
 from benchmarks.harness import document, load  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / "docs"
