@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from estimation.compiling import compiled
 from estimation.shapes.passes import NO_WEIGHTS, products
 from estimation.shapes.shape import Shape
 from estimation.transform import FloatArray
@@ -21,6 +22,7 @@ _LARGEST_DAMPING: Final = 1e12
 _TRIED_STARTS: Final = 12
 _TRIAL_ITERATIONS: Final = 6
 _POLISHED_STARTS: Final = 4
+_HOPELESS: Final = 1e4  # times the cost of a minimum, after the trial: a hundred times as far from the points
 _FEW_POINTS: Final = 60  # for which any start may be the only good one
 _AGREEING: Final = 3  # ways to the same minimum, from the best starts
 _ENOUGH_TO_AGREE: Final = 15  # fewer points have minima that several starts find, and are not the lowest
@@ -69,8 +71,7 @@ def minimise(
         scale = np.sqrt(np.maximum(np.diag(normal), np.finfo(np.float64).tiny))
         scaled, slope = normal / np.outer(scale, scale), gradient / scale
         while True:
-            step = _step(scaled, slope, damping)
-            promised = float(-step @ (2.0 * slope + scaled @ step))
+            step, promised = _step(scaled, slope, damping)
             trial = shape.moved(step / scale)
             trial_sums = products(trial, points_m, weights)
             trial_cost = float(trial_sums[count, count])
@@ -99,14 +100,19 @@ def minimise(
     return Optimum(shape, normal, cost, initial, largest_iterations, "too many iterations", converged=False)
 
 
-def _step(scaled: FloatArray, slope: FloatArray, damping: float) -> FloatArray:
-    """Solution of (scaled + damping I) step = -slope."""
+def _step(scaled: FloatArray, slope: FloatArray, damping: float) -> tuple[FloatArray, float]:
+    """Solution of (scaled + damping I) step = -slope, and by how much it promises to lower the cost."""
     try:
-        damped = scaled.copy()
-        damped.flat[:: len(slope) + 1] += damping
-        return np.asarray(np.linalg.solve(damped, -slope), dtype=np.float64)
+        return _damped(scaled, slope, damping)
     except np.linalg.LinAlgError:  # a direction without any slope: it takes no step
-        return np.asarray(np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0], dtype=np.float64)
+        step = np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0]
+        return np.asarray(step), float(-step @ (2.0 * slope + scaled @ step))
+
+
+@compiled
+def _damped(scaled: FloatArray, slope: FloatArray, damping: float) -> tuple[FloatArray, float]:
+    step = np.linalg.solve(scaled + damping * np.eye(len(slope)), -slope).astype(np.float64)
+    return step, -float(np.dot(step, 2.0 * slope + scaled @ step))
 
 
 def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEIGHTS) -> list[Optimum]:
@@ -117,7 +123,12 @@ def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEI
     unit = np.ascontiguousarray(centred / size)
     rounding = _EXACT * float(weights @ weights if len(weights) else len(unit))
     found: list[Optimum] = []
+    tried = len(unit) > _FEW_POINTS
     for start in best_starts(kind.starts(unit), unit, weights):
+        if tried and any(other.converged for other in found):
+            cost = float(products(start, unit, weights)[-1, -1])
+            if cost > _HOPELESS * min(other.cost for other in found) + rounding:
+                continue
         each = minimise(start, unit, weights, 1.0, _COARSE, _COARSE_ITERATIONS)
         if np.isfinite(each.cost):
             found.append(each)
