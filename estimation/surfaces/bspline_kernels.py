@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.surfaces.shape import CHUNK, SUMS
-from estimation.surfaces.sums_kernels import add_point
+from estimation.surfaces.sums_kernels import BLOCK, add_block, put_point
 from estimation.transform import FloatArray
 
 STEPS: Final = 40
@@ -235,7 +235,8 @@ def normal_equations(
 ) -> None:
     """Partial sums (chunks, SUMS), as those of a mesh; `place` (m, 2) moves on to the feet."""
     for chunk in numba.prange((len(base_p) + CHUNK - 1) // CHUNK):
-        own, row, jet = np.zeros(SUMS), np.empty(7), np.empty((6, 3))
+        own, jet = np.zeros(SUMS), np.empty((6, 3))
+        rows, placed = np.empty((7, BLOCK)), 0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(base_p))):
             a, b, c = base_p[i, 0] - shift[0], base_p[i, 1] - shift[1], base_p[i, 2] - shift[2]
             x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
@@ -266,5 +267,6 @@ def normal_equations(
                     nx += part * jet[along, 0]
                     ny += part * jet[along, 1]
                     nz += part * jet[along, 2]
-            add_point(own, row, weight[i], huber, distance, x, y, z, nx, ny, nz)
+            placed = put_point(own, rows, placed, weight[i], huber, distance, x, y, z, nx, ny, nz)
+        add_block(own, rows, placed)
         sums[chunk] = own

@@ -1,6 +1,7 @@
 """Compiled parts of the grid over a mesh: which triangles reach into which cell, what is clear above them."""
 
 import math
+from typing import Final
 
 import numba
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from estimation.transform import FloatArray
 
 IntArray = NDArray[np.int32]
+SLACK: Final = 0.01  # cells
 
 
 @numba.njit(cache=True, inline="always")
@@ -69,42 +71,92 @@ def clearance(
     members: IntArray,
     corners: FloatArray,
     planes: FloatArray,
+    across: IntArray,
 ) -> FloatArray:
-    """(f,) half the height up to which no other triangle is in the prism over either side of a triangle.
+    """(f, 4) half the heights up to which a triangle is alone, then with the one across each of its sides.
 
-    Heights are looked at up to half a cell. A point whose ball, up to its foot inside the triangle, stays in
-    the prism has its nearest triangle there.
+    Alone: no other triangle is in the prism over either side of it. Alone with one across: no third triangle
+    is between the other two sides of either, but for `SLACK`, and so near to the first. Heights are looked at
+    up to half a cell. A point whose ball, down to its foot, stays between those sides has its nearest
+    triangle there.
     """
     per_m, height = 1.0 / size_m, 0.5 * size_m
-    clear = np.empty(len(corners))
+    clear = np.zeros((len(corners), 4))
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    side = np.empty(3, np.int64)  # of the triangle across, where the two meet
+    seen = np.full(len(corners), -1, np.int32)  # by which triangle each was looked at last
     for f in range(len(corners)):
         for k in range(3):
             a, b, c = corners[f, 0, k], corners[f, 1, k], corners[f, 2, k]
-            reach = height * abs(planes[f, k])
-            low[k] = cell_of(min(a, b, c) - reach, origin[k], per_m, counts[k])
-            high[k] = cell_of(max(a, b, c) + reach, origin[k], per_m, counts[k])
-        free = height
+            low[k] = cell_of(min(a, b, c) - height, origin[k], per_m, counts[k])
+            high[k] = cell_of(max(a, b, c) + height, origin[k], per_m, counts[k])
+            side[k] = -1
+            for j in range(3):
+                if across[f, k] >= 0 and across[across[f, k], j] == f:
+                    side[k] = j
+            clear[f, k + 1] = 0.5 * height if side[k] >= 0 else 0.0
+        clear[f, 0] = 0.5 * height
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 first = (i * counts[1] + j) * counts[2]
                 for m in range(start[first + low[2]], start[first + high[2] + 1]):
-                    if members[m] != f:
-                        free = min(free, _intrusion(f, members[m], corners, planes))
-        clear[f] = 0.5 * free
+                    g = members[m]
+                    if g == f or seen[g] == f:
+                        continue
+                    seen[g] = f
+                    clear[f, 0] = min(clear[f, 0], 0.5 * _intrusion(f, g, corners, planes))
+                    for k in range(3):
+                        if side[k] >= 0 and g != across[f, k]:
+                            between = _between(
+                                f, k, across[f, k], side[k], g, SLACK * size_m, corners, planes
+                            )
+                            clear[f, k + 1] = min(clear[f, k + 1], 0.5 * between)
     return clear
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _between(
+    f: int, k: int, g: int, n: int, t: int, slack_m: float, corners: FloatArray, planes: FloatArray
+) -> float:
+    """A distance from triangle f below which t is not between the sides of f and g but for k of f, n of g.
+
+    By `slack_m` it may reach in: where sides of several triangles lie on one line, surfaces that bend do.
+    """
+    for side in range(3):
+        if side != k and _highest(f, side + 1, t, corners, planes) <= slack_m:
+            return np.inf
+        if side != n and _highest(g, side + 1, t, corners, planes) <= slack_m:
+            return np.inf
+    beyond = -_highest(f, k + 1, t, corners, planes)
+    return max(_off(f, t, corners, planes), beyond)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _highest(f: int, plane: int, t: int, corners: FloatArray, planes: FloatArray) -> float:
+    """The largest height of the corners of t over one of the planes of f."""
+    most = -np.inf
+    for c in range(3):
+        height = planes[f, 4 * plane] * corners[t, c, 0] + planes[f, 4 * plane + 1] * corners[t, c, 1]
+        most = max(most, height + planes[f, 4 * plane + 2] * corners[t, c, 2] - planes[f, 4 * plane + 3])
+    return most
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _off(f: int, t: int, corners: FloatArray, planes: FloatArray) -> float:
+    """How far t is off the plane of f, on either side of it; 0 where it crosses."""
+    least, most = np.inf, -np.inf
+    for c in range(3):
+        x, y, z = corners[t, c, 0], corners[t, c, 1], corners[t, c, 2]
+        height = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2] * z - planes[f, 3]
+        least, most = min(least, height), max(most, height)
+    return max(least, -most, 0.0)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _intrusion(f: int, g: int, corners: FloatArray, planes: FloatArray) -> float:
     """A height over triangle f, either way, below which triangle g is not in the prism over f."""
     for k in range(1, 4):
-        outside = True
-        for c in range(3):
-            x, y, z = corners[g, c, 0], corners[g, c, 1], corners[g, c, 2]
-            aside = planes[f, 4 * k] * x + planes[f, 4 * k + 1] * y + planes[f, 4 * k + 2] * z
-            outside &= aside - planes[f, 4 * k + 3] <= 1e-12  # metres: shared corners are on the side
-        if outside:
+        if _highest(f, k, g, corners, planes) <= 1e-12:  # metres: shared corners are on the side
             return np.inf
     nx, ny, nz = planes[f, 0], planes[f, 1], planes[f, 2]
     for k in range(3):  # lines along the sides of g, seen along the prism
@@ -123,12 +175,7 @@ def _intrusion(f: int, g: int, corners: FloatArray, planes: FloatArray) -> float
             apart &= side * (aside + (corners[f, c, 2] - az) * mz) <= slack
         if apart:
             return np.inf
-    least, most = np.inf, -np.inf
-    for c in range(3):
-        x, y, z = corners[g, c, 0], corners[g, c, 1], corners[g, c, 2]
-        height = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2] * z - planes[f, 3]
-        least, most = min(least, height), max(most, height)
-    return max(least, -most, 0.0)
+    return _off(f, g, corners, planes)
 
 
 @numba.njit(cache=True, error_model="numpy")

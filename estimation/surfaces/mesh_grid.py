@@ -11,6 +11,7 @@ from estimation.transform import FloatArray
 
 try:
     from estimation.surfaces import grid_kernels as kernels
+    from estimation.surfaces import mesh_kernels
 except ImportError:  # numba is optional, and without it there is no grid
     kernels = None  # type: ignore[assignment]
 
@@ -32,13 +33,13 @@ class Grid:
     counts: NDArray[np.int64]  # (3,)
     start: IntArray  # (cells + 1,) where the members of each cell begin
     members: IntArray  # triangles, cell by cell
-    seed: IntArray  # (cells,) a triangle in the nearest occupied cell
+    seed: IntArray  # (cells,) the central triangle of the nearest occupied cell
     gap: NDArray[np.int8]  # (cells,) cells to that, in the largest of the three directions; 127 for more
     order: IntArray  # (f,) the mesh's number of each triangle
     corners_m: FloatArray  # (f, 3, 3)
     planes: FloatArray  # (f, 16)
     across: IntArray  # (f, 3) a triangle on the other side of each side, or -1
-    clear: FloatArray  # (f,) as of `grid_kernels.clearance`
+    clear: FloatArray  # (f, 4) as of `grid_kernels.clearance`
 
     def sorted_by_cell(self, base_p: FloatArray, base_T_mesh: FloatArray) -> NDArray[np.intp]:
         """The order (m,) of points by the cell in which they lie."""
@@ -102,18 +103,18 @@ def grid_of(corners: FloatArray, planes: FloatArray, across: IntArray) -> Grid:
     members = np.empty(int(start[-1]), dtype=np.int32)
     kernels.fill_cells(corners, planes, low, size_m, counts, start, members)
     occupied = np.ravel_multi_index(tuple(place), tuple(counts)).reshape(-1)
-    middle = (start[occupied] + start[occupied + 1]) // 2
+    central = mesh_kernels.central(low, size_m, counts, start, members, corners, planes)
     return Grid(
         origin_m=low,
         size_m=size_m,
         counts=counts,
         start=start,
         members=members,
-        seed=members[middle],
+        seed=central[occupied],
         gap=np.minimum(gap, 127).astype(np.int8).reshape(-1),
         order=order,
         corners_m=corners,
         planes=planes,
         across=across,
-        clear=kernels.clearance(low, size_m, counts, start, members, corners, planes),
+        clear=kernels.clearance(low, size_m, counts, start, members, corners, planes, across),
     )

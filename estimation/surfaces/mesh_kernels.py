@@ -13,9 +13,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.surfaces.grid_kernels import IntArray, cell_of
+from estimation.surfaces.grid_kernels import SLACK, IntArray, cell_of
 from estimation.surfaces.shape import CHUNK, SUMS
-from estimation.surfaces.sums_kernels import add_point
+from estimation.surfaces.sums_kernels import BLOCK, add_block, put_point
 from estimation.transform import FloatArray
 
 INSIDE: Final = 0  # regions of a foot: 0 inside, 1-3 on the side from corner k - 1, 4-6 at corner k - 4
@@ -67,6 +67,32 @@ def _try(
 
 
 @numba.njit(cache=True, error_model="numpy")
+def central(
+    origin: FloatArray,
+    size_m: float,
+    counts: NDArray[np.int64],
+    start: IntArray,
+    members: IntArray,
+    corners: FloatArray,
+    planes: FloatArray,
+) -> IntArray:
+    """(cells,) of the triangles of each cell the one nearest to its centre; -1 in empty cells."""
+    found = np.full(len(start) - 1, -1, np.int32)
+    for cell in range(len(found)):
+        if start[cell] == start[cell + 1]:
+            continue
+        x = origin[0] + (cell // (counts[1] * counts[2]) + 0.5) * size_m
+        y = origin[1] + (cell // counts[2] % counts[1] + 0.5) * size_m
+        z = origin[2] + (cell % counts[2] + 0.5) * size_m
+        best = np.inf
+        for m in range(start[cell], start[cell + 1]):
+            d, where, _, _, _ = _try(x, y, z, members[m], best, corners, planes)
+            if where >= 0:
+                best, found[cell] = d, members[m]
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _walk(
     x: float, y: float, z: float, f: int, across: IntArray, corners: FloatArray, planes: FloatArray
 ) -> tuple[float, int, int, float, float, float]:
@@ -109,7 +135,42 @@ def _inside(x: float, y: float, z: float, f: int, clear: FloatArray, planes: Flo
     s0 = planes[f, 4] * x + planes[f, 5] * y + planes[f, 6] * z - planes[f, 7]
     s1 = planes[f, 8] * x + planes[f, 9] * y + planes[f, 10] * z - planes[f, 11]
     s2 = planes[f, 12] * x + planes[f, 13] * y + planes[f, 14] * z - planes[f, 15]
-    return height if abs(height) < min(s0, s1, s2, clear[f]) else np.inf
+    return height if abs(height) < min(s0, s1, s2, clear[f, 0]) else np.inf
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _across(
+    x: float,
+    y: float,
+    z: float,
+    f: int,
+    radius: float,
+    slack_m: float,
+    across: IntArray,
+    clear: FloatArray,
+    planes: FloatArray,
+) -> int:
+    """The triangle across a side of f if no third one can be as near as `radius`, at which f is; else -1."""
+    s0 = planes[f, 4] * x + planes[f, 5] * y + planes[f, 6] * z - planes[f, 7]
+    s1 = planes[f, 8] * x + planes[f, 9] * y + planes[f, 10] * z - planes[f, 11]
+    s2 = planes[f, 12] * x + planes[f, 13] * y + planes[f, 14] * z - planes[f, 15]
+    k = 0 if s0 < min(s1, s2) else (1 if s1 < s2 else 2)
+    others = min(s1, s2) if k == 0 else (min(s0, s2) if k == 1 else min(s0, s1))
+    if not (radius < clear[f, k + 1] and radius + slack_m < others):
+        return -1
+    g = across[f, k]
+    for j in range(3):
+        aside = planes[g, 4 * j + 4] * x + planes[g, 4 * j + 5] * y + planes[g, 4 * j + 6] * z
+        if across[g, j] != f and not radius + slack_m < aside - planes[g, 4 * j + 7]:
+            return -1
+    return int(g)
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _cell(x: float, y: float, z: float, origin: FloatArray, size_m: float, counts: NDArray[np.int64]) -> int:
+    per_m = 1.0 / size_m
+    i, j = cell_of(x, origin[0], per_m, counts[0]), cell_of(y, origin[1], per_m, counts[1])
+    return int((i * counts[1] + j) * counts[2] + cell_of(z, origin[2], per_m, counts[2]))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -134,8 +195,7 @@ def _search(
     per_m = 1.0 / size_m
     ny, nz = counts[1], counts[2]
     if hint < 0:
-        ci, cj = cell_of(x, origin[0], per_m, counts[0]), cell_of(y, origin[1], per_m, ny)
-        hint = seed[(ci * ny + cj) * nz + cell_of(z, origin[2], per_m, nz)]
+        hint = seed[_cell(x, y, z, origin, size_m, counts)]
     height = _inside(x, y, z, hint, clear, planes)
     if height < np.inf:
         return (
@@ -149,6 +209,12 @@ def _search(
     if facet != hint and _inside(x, y, z, facet, clear, planes) < np.inf:
         return facet, region, fx, fy, fz
     radius = math.sqrt(best)
+    other = _across(x, y, z, facet, radius, SLACK * size_m, across, clear, planes)
+    if other >= 0:
+        d, where, gx, gy, gz = _try(x, y, z, other, best, corners, planes)
+        if where >= 0:
+            return other, where, gx, gy, gz
+        return facet, region, fx, fy, fz
     i0, i1 = (
         cell_of(x - radius, origin[0], per_m, counts[0]),
         cell_of(x + radius, origin[0], per_m, counts[0]),
@@ -282,33 +348,52 @@ def normal_equations(
     of (rotation, shift). Residuals over `huber` weigh less (infinite for none).
     """
     for chunk in numba.prange((len(base_p) + CHUNK - 1) // CHUNK):
-        own = np.zeros(SUMS)
-        row = np.empty(7)
-        for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(base_p))):
-            if weight[i] == 0.0:
-                continue
-            a, b, c = base_p[i, 0] - shift[0], base_p[i, 1] - shift[1], base_p[i, 2] - shift[2]
-            x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
-            y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
-            z = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
-            f, where, fx, fy, fz = _search(
-                x,
-                y,
-                z,
-                hint[i],
-                origin,
-                size_m,
-                counts,
-                start,
-                members,
-                seed,
-                gap,
-                across,
-                clear,
-                corners,
-                planes,
-            )
-            hint[i] = f
-            distance, gx, gy, gz = _oriented(x - fx, y - fy, z - fz, f, where, planes, order, normals, open_)
-            add_point(own, row, weight[i], huber, distance, x, y, z, gx, gy, gz)
+        own, rows, placed = np.zeros(SUMS), np.empty((7, BLOCK)), 0
+        p, height = np.empty((3, BLOCK)), np.empty(BLOCK)
+        for first in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(base_p)), BLOCK):
+            count = min(BLOCK, len(base_p) - first)
+            # Those that lie clearly over the triangle that is known come first: nothing there depends on the
+            # point before, and the processor fetches the triangles of several points at a time.
+            for n in range(count):
+                i = first + n
+                a, b, c = base_p[i, 0] - shift[0], base_p[i, 1] - shift[1], base_p[i, 2] - shift[2]
+                x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
+                y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
+                z = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
+                p[0, n], p[1, n], p[2, n] = x, y, z
+                if hint[i] < 0:
+                    hint[i] = seed[_cell(x, y, z, origin, size_m, counts)]
+            for n in range(count):
+                height[n] = _inside(p[0, n], p[1, n], p[2, n], hint[first + n], clear, planes)
+            for n in range(count):
+                i = first + n
+                if weight[i] == 0.0:
+                    continue
+                x, y, z, distance, f = p[0, n], p[1, n], p[2, n], height[n], hint[i]
+                if distance < np.inf:
+                    gx, gy, gz = planes[f, 0], planes[f, 1], planes[f, 2]
+                else:
+                    f, where, fx, fy, fz = _search(
+                        x,
+                        y,
+                        z,
+                        f,
+                        origin,
+                        size_m,
+                        counts,
+                        start,
+                        members,
+                        seed,
+                        gap,
+                        across,
+                        clear,
+                        corners,
+                        planes,
+                    )
+                    hint[i] = f
+                    distance, gx, gy, gz = _oriented(
+                        x - fx, y - fy, z - fz, f, where, planes, order, normals, open_
+                    )
+                placed = put_point(own, rows, placed, weight[i], huber, distance, x, y, z, gx, gy, gz)
+        add_block(own, rows, placed)
         sums[chunk] = own

@@ -59,6 +59,34 @@ def test_near_folds_and_through_thin_walls_too(solid: trimesh.Trimesh) -> None:
     assert apart == pytest.approx(by_brute_force(mesh, points), abs=1e-12)
 
 
+def _relief(rough_m: float, rng: np.random.Generator) -> TriangleMesh:
+    """A hilly field of 0.1 m with 2 x 24 x 24 irregular triangles, and below it the same, 0.2 mm lower."""
+    x, y = np.meshgrid(np.linspace(0, 0.1, 25), np.linspace(0, 0.1, 25), indexing="ij")
+    z = 0.01 * np.sin(40 * x) + rough_m * rng.normal(size=x.shape)
+    upper = np.stack([x, y, z], -1).reshape(-1, 3) + 3e-4 * rng.normal(size=(625, 3)) * [1, 1, 0]
+    place = np.arange(625).reshape(25, 25)
+    a, b, c, d = (part.ravel() for part in (place[:-1, :-1], place[1:, :-1], place[1:, 1:], place[:-1, 1:]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    below = upper - np.array([0.0, 0.0, 2e-4])
+    return TriangleMesh(np.vstack([upper, below]), np.vstack([triangles, triangles[:, ::-1] + 625]))
+
+
+@needs_numba
+@pytest.mark.parametrize("rough_m", [0.0, 1e-3, 5e-3])
+def test_what_is_proven_without_a_look_around_is_what_a_look_around_finds(rough_m: float) -> None:
+    rng = np.random.default_rng(9)
+    mesh = _relief(rough_m, rng)
+    assert mesh.grid is not None
+    proofs = mesh.grid.clear.copy()
+    for away_m in (1e-6, 3e-5, 3e-4, 2e-3):
+        points = points_on(mesh, 4000, rng) + away_m * rng.normal(size=(4000, 3))
+        quick = np.linalg.norm(points - mesh.nearest(points).foot_m, axis=1)
+        mesh.grid.clear[:] = -1.0  # nothing is proven
+        full = np.linalg.norm(points - mesh.nearest(points).foot_m, axis=1)
+        mesh.grid.clear[:] = proofs
+        assert quick == pytest.approx(full, abs=1e-15)
+
+
 @needs_numba
 def test_without_numba_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(2)
