@@ -130,7 +130,8 @@ class SensorChain:
     def with_priors(self, belief: Belief) -> Belief:
         """The belief with the blocks of the motion, and of the pose errors if readings share them."""
         belief = self.motion.with_priors(belief)
-        if len(np.unique(self.readings.pose_index)) == len(self.readings.pose_index):
+        index = self.readings.pose_index
+        if (index[1:] > index[:-1]).all() or len(np.unique(index)) == len(index):
             return belief
         noise = self.motion.at({block.name: block.value for block in belief.blocks}).covariance
         if not noise.any():

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any, ClassVar, Final
 
@@ -186,6 +187,10 @@ class SensorTask:
         return self.belief().without([self.model().shared])
 
     def model(self) -> SensorChain:
+        return self._chain
+
+    @cached_property
+    def _chain(self) -> SensorChain:
         return SensorChain(
             self.motion, self.readings(), self.target(), self.sensor, self.object, beside=self.beside
         )
