@@ -11,8 +11,9 @@ from estimation.belief import POSE_FREEDOMS, Belief, Value
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Finding
+from estimation.tasks.mistakes import exchanged
 from estimation.tasks.rolling import OnPlanes
-from estimation.tasks.sensing import SensorTask, exchanged
+from estimation.tasks.sensing import SensorTask
 from estimation.transform import FloatArray, Transform
 
 

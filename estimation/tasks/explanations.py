@@ -1,23 +1,43 @@
 """Which common mistake explains data that do not fit: undone, their residuals are what was declared."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, Protocol, Self, TypeVar
 
 import numpy as np
 
+from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
 from estimation.fitting import row_variance
-from estimation.model import values_of
+from estimation.model import Model, values_of
 from estimation.tasks.findings import Finding
-
-if TYPE_CHECKING:
-    from estimation.tasks.solve import Problem
 
 _MOST: Final = 3  # explanations that are estimated in full, and the best of each other cause
 _MEDIAN_SQUARE: Final = 0.455  # of a standard normal variable
 
 
-def explained(problem: "Problem", holds: Callable[["Problem"], bool]) -> Finding | None:
+class Explainable(Protocol):
+    """What of a problem tells mistakes apart; see `solve.Problem`."""
+
+    def check(self) -> Sequence[Finding]:
+        """What is wrong with the data at sight."""
+
+    def rough(self) -> Belief:
+        """The belief to compare starts with."""
+
+    def model(self) -> Model:
+        """The measurements."""
+
+    def starts(self) -> Sequence[Mapping[str, Value]]:
+        """Values of flat blocks to start from, most promising first."""
+
+    def explanations(self) -> Iterable[tuple[Finding, Self]]:
+        """Mistakes that people make with such data, and the same problem with each undone."""
+
+
+P = TypeVar("P", bound=Explainable)
+
+
+def explained(problem: P, holds: Callable[[P], bool]) -> Finding | None:
     """The mistake that, undone, makes the data hold; None if there is none.
 
     All mistakes that the problem knows of are compared at their starts, which is cheap. The least surprising
@@ -37,7 +57,7 @@ def explained(problem: "Problem", holds: Callable[["Problem"], bool]) -> Finding
     return next((finding for _, finding, other in tried if holds(other)), None)
 
 
-def _surprise(problem: "Problem") -> float:
+def _surprise(problem: Explainable) -> float:
     """How far residuals are from the declared noise at the most promising start; infinite without one.
 
     |ln| of the median of their squares over what it is for honest ones: a median, so that a few outliers do

@@ -13,12 +13,12 @@ from estimation.surfaces import Feature, plane, sphere_features
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.mistakes import exchanged
 from estimation.tasks.rolling import OnSphere
 from estimation.tasks.sensing import (
     OTHER_SIZE,
     SensorTask,
     along_z,
-    exchanged,
     face_features,
     mislabelled,
     plane_starts,

@@ -14,18 +14,11 @@ from estimation.loads import GravityLoad
 from estimation.model import vector_of
 from estimation.tasks import checks
 from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.mistakes import other_units
 from estimation.transform import FloatArray
 
 KINEMATICS: Final = "kinematics"
 COMPLIANCE: Final = "compliance"
-UNIT_FACTORS: Final = {  # numbers that are too large by so much, and what was taken for what
-    1e-3: "m for mm",
-    1e3: "mm for m",
-    25.4: "mm for inches",
-    1 / 25.4: "inches for mm",
-    10.0: "mm for cm",
-    0.1: "cm for mm",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,12 +116,9 @@ class Poses:
                 inverse,
             )
         ]
-        for factor, units in UNIT_FACTORS.items():
+        for finding, factor in other_units("The poses fit when"):
             scaled = self.base_T_flange.copy()
             scaled[:, :3, 3] /= factor
-            finding = Finding(
-                Cause.WRONG_UNITS, f"The poses fit when divided by {factor:.4g}: {units}", checks.METRES
-            )
             found.append((finding, replace(self, base_T_flange=scaled)))
         return found
 

@@ -18,7 +18,8 @@ from estimation.model import values_of
 from estimation.tasks import checks, closed_forms, starts
 from estimation.tasks.closed_forms import inverse
 from estimation.tasks.findings import Cause, Finding
-from estimation.tasks.motion import UNIT_FACTORS, Motion
+from estimation.tasks.mistakes import other_units
+from estimation.tasks.motion import Motion
 from estimation.tasks.pair_chain import POSE_ERRORS, Moves, PairChain
 from estimation.transform import FloatArray, Transform
 
@@ -156,14 +157,9 @@ class PairTask:
             f"Give {self.reported}: coordinates in the second frame become coordinates in the first",
         )
         found.append((finding, replace(self, **inverted)))
-        for factor, units in UNIT_FACTORS.items():
+        for finding, factor in other_units(f"The measurements fit when {self.reported} is"):
             scaled = np.array(self.given, dtype=np.float64)
             scaled[:, :3, 3] /= factor
-            finding = Finding(
-                Cause.WRONG_UNITS,
-                f"The measurements fit when {self.reported} is divided by {factor:.4g}: {units}",
-                checks.METRES,
-            )
             again: dict[str, Any] = {self.reported: scaled}
             found.append((finding, replace(self, **again)))
         return found

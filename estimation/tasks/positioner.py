@@ -20,8 +20,9 @@ from estimation.tasks import checks, starts
 from estimation.tasks.camera import MarkerTask
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.mistakes import exchanged
 from estimation.tasks.positioner_starts import axes_from_points, objects, spheres
-from estimation.tasks.sensing import SensorTask, exchanged, face_features, with_form
+from estimation.tasks.sensing import SensorTask, face_features, with_form
 from estimation.tasks.turning import ANGLE_ERRORS, AXES, Turning
 from estimation.transform import FloatArray, Transform
 

@@ -12,11 +12,11 @@ from estimation.surfaces import Feature, sphere_features
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, Surfaces
 from estimation.tasks.findings import Cause, Finding
+from estimation.tasks.mistakes import exchanged
 from estimation.tasks.rolling import OnSphere
 from estimation.tasks.sensing import (
     OTHER_SIZE,
     SensorTask,
-    exchanged,
     face_features,
     mislabelled,
     plane_starts,

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -15,7 +14,8 @@ from estimation.surfaces import Feature
 from estimation.tasks import checks, starts
 from estimation.tasks.chain import Markers, Readings, SensorChain, Surfaces
 from estimation.tasks.findings import Cause, Finding
-from estimation.tasks.motion import UNIT_FACTORS, Motion
+from estimation.tasks.mistakes import other_units
+from estimation.tasks.motion import Motion
 from estimation.tasks.rolling import Few, OnPlanes, OnSphere, Rolled, rolled
 from estimation.transform import FloatArray, Transform
 
@@ -225,9 +225,8 @@ class SensorTask:
         lengths = self._lengths()
         together = [tuple(lengths)] if len(lengths) > 1 else []
         for names in (*((name,) for name in lengths), *together):
-            for factor, units in UNIT_FACTORS.items():
-                what = f"The data fit when {' and '.join(names)} {'is' if len(names) == 1 else 'are'} divided"
-                finding = Finding(Cause.WRONG_UNITS, f"{what} by {factor:.4g}: {units}", checks.METRES)
+            fit = f"The data fit when {' and '.join(names)} {'is' if len(names) == 1 else 'are'}"
+            for finding, factor in other_units(fit):
                 scaled: dict[str, Any] = {name: lengths[name] / factor for name in names}
                 found.append((finding, replace(self, **scaled)))
         found += [(finding, replace(self, motion=motion)) for finding, motion in self.motion.mistakes()]
@@ -367,18 +366,3 @@ def with_form(belief: Belief, features: tuple[Feature, ...], form_std_m: float) 
             f"form.{feature.name}", 0.0, std=form_std_m, freedoms=("offset",), source="form"
         )
     return belief
-
-
-def exchanged(index: NDArray[np.intp], names: Sequence[str]) -> list[tuple[Finding, NDArray[np.intp]]]:
-    """Labels with two names exchanged, for all pairs that were used."""
-    found = []
-    for first, second in combinations(np.unique(index).tolist(), 2):
-        other = index.copy()
-        other[index == first], other[index == second] = second, first
-        finding = Finding(
-            Cause.WRONG_SURFACE,
-            f"The readings fit when {names[first]} and {names[second]} are exchanged",
-            "Check which reading is of which",
-        )
-        found.append((finding, other))
-    return found

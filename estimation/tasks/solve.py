@@ -193,7 +193,7 @@ def solve(problem: Problem, explain: bool = True) -> Result:
     except EstimationError as error:
         return refused(problem.task, sight, error)
     result = _estimated(problem, sight, starts)
-    if explain and result.status is not Status.OK and _misfits(result):
+    if explain and misfits(result):
         mistake = explained(problem, _holds)
         if mistake is not None:
             return refused(problem.task, (*sight, mistake))
@@ -202,15 +202,17 @@ def solve(problem: Problem, explain: bool = True) -> Result:
 
 def _holds(problem: Problem) -> bool:
     """Whether nearly all the data of a problem agree."""
-    result = _estimated(problem, (), problem.starts())
+    return agrees(_estimated(problem, (), problem.starts()))
+
+
+def agrees(result: Result) -> bool:
+    """Whether nearly all the data say the same."""
     return (
-        result.estimate is not None
-        and not _misfits(result)
-        and float(result.rejected.mean()) <= _FEW_REJECTED
+        result.estimate is not None and not misfits(result) and float(result.rejected.mean()) <= _FEW_REJECTED
     )
 
 
-def _misfits(result: Result) -> bool:
+def misfits(result: Result) -> bool:
     """Whether residuals may speak against the data, and not only the geometry."""
     return any(
         finding.cause in (Cause.INCONSISTENT, Cause.CLUSTERED_OUTLIERS, Cause.NO_SOLUTION, Cause.UNDETERMINED)
