@@ -16,7 +16,7 @@ _COARSE: Final = (120, 1_000, 8_000)  # points that prepare the next level
 _KINKS: Final = 0.15  # of a step near the minimum on facets: the next one, 0.14 and 0.16 on a blade
 _UNSORTED: Final = 1_000  # points up to which sorting all of them does not pay
 _COARSE_TOLERANCE: Final = 0.03  # standard deviations, of the level
-_LARGEST_ITERATIONS: Final = 60
+LARGEST_ITERATIONS: Final = 60
 # A step of so many standard deviations that does not lower the cost is within the roughness that the edges
 # between facets give it: 0.02 to 0.25 on meshes of 10,000 to 80,000 triangles.
 _ROUGH: Final = 0.5
@@ -137,11 +137,15 @@ def descent(
     pose: FloatArray,
     huber: float = np.inf,
     tolerance: float = 1e-2,
+    most: int = LARGEST_ITERATIONS,
 ) -> Descent:
-    """Levenberg-Marquardt from a pose (4, 4) with all of some points (m, 3), weights (m,) in 1/m."""
+    """Levenberg-Marquardt from a pose (4, 4) with all of some points (m, 3), weights (m,) in 1/m.
+
+    It ends unconverged before pass number `most`.
+    """
     hints = shape.new_hints(len(points))
     sums, damping, before = shape.sums(points, weight, pose, hints, huber), 0.0, 0.0
-    for passes in range(1, _LARGEST_ITERATIONS):
+    for passes in range(1, most):
         step = _step(sums, damping)
         length = float(np.sqrt(step @ sums.information @ step))
         trial = Transform("", "", pose).perturbed(step).matrix

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimation.localization.alignment import descent
+from estimation.localization.alignment import LARGEST_ITERATIONS, descent
 from estimation.localization.descent import descend, distinct
 from estimation.surfaces.mesh import TriangleMesh
 from estimation.surfaces.shape import Shape
@@ -84,10 +84,15 @@ def field_of(mesh: TriangleMesh) -> Field:
     )
 
 
-def search_surface(shape: Shape, base_p: FloatArray, count: int = 6) -> tuple[FloatArray, FloatArray]:
+def search_surface(
+    shape: Shape, base_p: FloatArray, count: int = 6, most: int = LARGEST_ITERATIONS
+) -> tuple[FloatArray, FloatArray]:
     """Distinct poses of a surface that points may lie on; no start is needed.
 
+    Parameters
+    ----------
     base_p : (m, 3), metres; a part of the surface is enough if it is like no other part.
+    most : passes of each refinement: points that do not lie on the surface at all take very many.
 
     Returns base_T_object (k, 4, 4), the most likely first, and the mean square distance (k,) of some of the
     points from the surface itself, m^2: beside an edge of it there is nothing, not its tangent plane.
@@ -107,7 +112,9 @@ def search_surface(shape: Shape, base_p: FloatArray, count: int = 6) -> tuple[Fl
     left = distinct(poses, cost, _APART * field.size_m, field.size_m, 10 * count)
     few = np.ascontiguousarray(base_p[np.random.default_rng(0).permutation(len(base_p))[:_ALIGNED]])
     weight = np.full(len(few), 1.0 / (_SAME * field.size_m))
-    reached = np.stack([descent(shape, few, weight, poses[place], tolerance=1e-5).pose for place in left])
+    reached = np.stack(
+        [descent(shape, few, weight, poses[place], tolerance=1e-5, most=most).pose for place in left]
+    )
     square = np.array([mean_square(shape, few, pose) for pose in reached])
     best = distinct(reached, square, _SAME * field.size_m, field.size_m, count)
     return reached[best], square[best]

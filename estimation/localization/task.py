@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -13,12 +14,15 @@ from estimation.localization.alignment import descent
 from estimation.localization.feature_search import search_features
 from estimation.localization.points import SharedError, SurfacePoints
 from estimation.localization.surface_search import mean_square, search_surface
+from estimation.localization.symmetry import check_symmetry
 from estimation.surfaces import Feature, feature_table, signed_distance
 from estimation.surfaces.feature import freeform
 from estimation.surfaces.shape import Shape
 from estimation.tasks import checks
+from estimation.tasks.explanations import explained
 from estimation.tasks.findings import Cause, Finding
-from estimation.tasks.solve import Ambiguity, Result, apart, estimated, judged, refused
+from estimation.tasks.mistakes import exchanged, other_units
+from estimation.tasks.solve import Ambiguity, Result, agrees, apart, estimated, judged, misfits, refused
 from estimation.transform import FloatArray, Transform
 
 _SEEN: Final = 0.9  # share of the points that a pose must show to the sensor: noise turns a few at an edge
@@ -28,6 +32,14 @@ _POSE_FREEDOMS: Final = 6
 _RANK_TOLERANCE: Final = 1e-4
 _SETTLING: Final = 20_000  # points with which two poses are told apart
 _SETTLED: Final = 1e-2  # standard deviations
+_ON_A_LINE: Final = 3.0  # standard deviations
+_QUICK: Final = 10  # passes, within which points that fit have come near enough
+_OUTSIDE: Final = 0.05  # share of the points that may be outliers when the size of all is looked at
+# Half the width of the points, as a share of the free form that they lie on: a smaller piece fits at many
+# places, and tells nothing of the size.
+_PIECE: Final = (0.05, 1.0)
+_MOST_PAIRS: Final = 3  # of names to exchange where a free form is among them: each takes seconds
+_TOLD_SCALE: Final = 0.1  # relative standard deviation of the size: units differ by 10 or more
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -86,6 +98,7 @@ class Localization:
             lambda: checks.lengths({"base_p": self.base_p}),
             lambda: checks.repeated(np.column_stack([self.base_p, self.places]), _POSE_FREEDOMS),
             lambda: checks.count(len(self.base_p), _POSE_FREEDOMS),
+            self._check_geometry,
         )
 
     def _arrays(self) -> dict[str, tuple[Any, checks.Shape]]:
@@ -107,6 +120,13 @@ class Localization:
             return found
         return [Finding(Cause.NOISE, "A point has no noise", "Give the covariance of each point")]
 
+    def _check_geometry(self) -> list[Finding]:
+        """On a line is what is there but for the noise: points on a slender rod determine its pose."""
+        across_m2 = np.linalg.eigvalsh(np.cov(self.base_p, rowvar=False))[1]
+        thin = across_m2 < _ON_A_LINE**2 * _std(self).max() ** 2
+        line = checks.spread(self.base_p, "points") if thin else []
+        return line + check_symmetry([self.features[i] for i in np.unique(self.places)])
+
     def _check_names(self) -> list[Finding]:
         if self.index is not None:
             return checks.indices({"index": (self.index, len(self.features))})
@@ -119,6 +139,34 @@ class Localization:
                 "Name them, or give one mesh of the whole object",
             )
         ]
+
+    def explanations(self) -> list[tuple[Finding, "Localization"]]:
+        """Points in another unit, and two names of features exchanged."""
+        found = [
+            (finding, replace(self, base_p=self.base_p / factor))
+            for finding, factor in other_units("The points fit when")
+        ]
+        found = [(finding, other) for finding, other in found if other.fits_in()]
+        if self.index is None:
+            return found
+        pairs = exchanged(self.index, [feature.name for feature in self.features])
+        if len(pairs) > _MOST_PAIRS and any(self.features[i].shape for i in np.unique(self.index)):
+            return found
+        return found + [(finding, replace(self, index=index)) for finding, index in pairs]
+
+    def fits_in(self) -> bool:
+        """Whether the points are not wider than the free forms that they lie on, nor next to nothing."""
+        smallest, largest = _PIECE
+        for place, feature in enumerate(self.features):
+            if feature.shape is None or not len(points := self.base_p[self.places == place]):
+                continue
+            points = points[:: -(-len(points) // _SETTLING)]
+            middle = np.median(points, axis=0)
+            radius_m = np.quantile(np.linalg.norm(points - middle, axis=1), 1.0 - _OUTSIDE)
+            size_m = np.linalg.norm(np.ptp(feature.shape.coarse.vertices_m, axis=0))
+            if not smallest * size_m <= radius_m <= largest * size_m:
+                return False
+        return True
 
     def belief(self) -> Belief:
         """The pose, flat, and the priors of shared errors and form."""
@@ -145,18 +193,84 @@ def localize(problem: Localization) -> Result:
     """The pose of an object as block "object" (or as `frames` name it), with everything needed to judge it.
 
     Never raises for bad data: as of every task, they come back refused or flagged, each with its cause.
-    The search over all poses ranks its minima itself; all points refine the best one.
+    The search over all poses ranks its minima itself; all points refine the best one. Points that fit badly
+    are tried again in other units, and with names exchanged: what makes them fit is named.
     """
     sight = problem.check()
     if checks.refusing(sight):
         return refused(problem.task, sight)
+    searched = _Searched(problem)
+    # A search is slow where points cannot lie on the surface at all.
+    result = _located(searched, sight) if problem.fits_in() else None
+    if result is None or misfits(result) or _UNSEEN in result.findings:
+        mistake = explained(searched, _holds)
+        if mistake is not None:
+            return refused(problem.task, [*sight, mistake])
+    return _located(searched, sight) if result is None else result
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """A problem with where its points can be: what costs most, and is needed more than once."""
+
+    problem: Localization
+    rescaled: bool = False
+
+    @cached_property
+    def minima(self) -> tuple[FloatArray, FloatArray]:
+        """Distinct poses (k, 4, 4), best first, and their mean square distances (k,)."""
+        return _search(self.problem, self.rescaled)
+
+    def check(self) -> Sequence[Finding]:
+        return self.problem.check()
+
+    def rough(self) -> Belief:
+        return self.problem.belief()
+
+    def model(self) -> SurfacePoints:
+        return self.problem.model()
+
+    def starts(self) -> list[dict[str, Transform]]:
+        name, frames = self.problem.frames[1], self.problem.frames
+        return [{name: Transform(*frames, pose)} for pose in self.minima[0]]
+
+    def explanations(self) -> list[tuple[Finding, "_Searched"]]:
+        return [
+            (finding, _Searched(other, finding.cause is Cause.WRONG_UNITS))
+            for finding, other in self.problem.explanations()
+        ]
+
+
+def _located(searched: _Searched, sight: Sequence[Finding]) -> Result:
+    task = searched.problem.task
     try:
-        poses, square = _search(problem)
-        if not len(poses):
-            return refused(problem.task, [*sight, _UNSEEN])
-        return _estimated(problem, sight, poses, square)
+        if not len(searched.minima[0]):
+            return refused(task, [*sight, _UNSEEN])
+        return _estimated(searched, sight)
     except EstimationError as error:
-        return refused(problem.task, sight, error)
+        return refused(task, sight, error)
+
+
+def _holds(searched: _Searched) -> bool:
+    """Whether nearly all points agree; of those in another unit, whether they would in no other as well."""
+    result = _located(searched, ())
+    return agrees(result) and (not searched.rescaled or _tells_scale(searched.problem, result))
+
+
+def _tells_scale(problem: Localization, result: Result) -> bool:
+    """Whether points of another size would not fit: a corner of three planes looks the same in any size.
+
+    There, noise that was declared too small must not pass for another unit.
+    """
+    name, middle = problem.frames[1], problem.base_p.mean(axis=0)
+    scale = SharedError("scale of points", np.eye(1), (problem.base_p - middle)[:, :, None], ("scale",))
+    scaled = replace(problem, shared=(*problem.shared, scale))
+    start = scaled.belief().started({name: result.belief.transform(name)})
+    try:
+        found = estimated(start, scaled.model(), scaled.consider, _RANK_TOLERANCE)
+    except EstimationError:
+        return False
+    return bool(found.belief.std(scale.name)[0] < _TOLD_SCALE)
 
 
 _UNSEEN: Final = Finding(
@@ -166,13 +280,17 @@ _UNSEEN: Final = Finding(
 )
 
 
-def _search(problem: Localization) -> tuple[FloatArray, FloatArray]:
-    """Distinct poses (k, 4, 4), best first, and their mean square distances (k,)."""
+def _search(problem: Localization, quick: bool) -> tuple[FloatArray, FloatArray]:
+    """Distinct poses (k, 4, 4), best first, and their mean square distances (k,).
+
+    quick : only whether there is a pose that fits is of interest.
+    """
     features, index = problem.features, problem.places
-    if len(features) == 1 and features[0].shape is not None:
-        poses, square = _settled(
-            problem, features[0].shape, search_surface(features[0].shape, problem.base_p)[0]
-        )
+    shape = features[0].shape if len(features) == 1 else None
+    if shape is not None and quick:
+        poses, square = search_surface(shape, problem.base_p, count=1, most=_QUICK)
+    elif shape is not None:
+        poses, square = _settled(problem, shape, search_surface(shape, problem.base_p)[0])
     else:
         poses, square = search_features(features, index, problem.base_p)
     if problem.toward_sensor is None:
@@ -211,11 +329,9 @@ def _std(problem: Localization) -> FloatArray:
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0))
 
 
-def _estimated(
-    problem: Localization, sight: Sequence[Finding], poses: FloatArray, square: FloatArray
-) -> Result:
+def _estimated(searched: _Searched, sight: Sequence[Finding]) -> Result:
+    problem, square, starts = searched.problem, searched.minima[1], searched.starts()
     belief, name = problem.belief(), problem.frames[1]
-    starts: list[dict[str, Transform]] = [{name: Transform(*problem.frames, pose)} for pose in poses]
     best = {name: _exact(problem, starts[0][name])}
     found = estimated(belief.started(best), problem.model(), problem.consider, _RANK_TOLERANCE)
     variance = float(np.trace(problem.covariance, axis1=-2, axis2=-1).mean() / 3.0)

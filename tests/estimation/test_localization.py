@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,14 +10,17 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from estimation.belief import POSE_FREEDOMS
+from estimation.localization import task
 from estimation.localization.alignment import align, descent
 from estimation.localization.points import SharedError, hand_eye_error
+from estimation.localization.symmetry import unseen_motions
 from estimation.localization.task import Localization, localize
 from estimation.surfaces import Feature, cone, cylinder, plane, signed_distance, torus
 from estimation.surfaces.feature import freeform
 from estimation.surfaces.mesh import TriangleMesh
 from estimation.surfaces.shape import Shape
 from estimation.tasks.findings import Cause, Status, TaskRefused
+from estimation.tasks.mistakes import UNIT_FACTORS
 from estimation.tasks.solve import Result
 from estimation.transform import FloatArray, Transform
 from tests.estimation.blade import blade_mesh, closed_blade_patch, patch
@@ -272,8 +276,8 @@ def changed(**changes: object) -> Localization:
 REFUSED: dict[str, tuple[Localization, Cause, str]] = {
     "inside out": (changed(toward_sensor=None), Cause.AMBIGUOUS, "Two solutions fit"),
     "symmetric": (box_problem(), Cause.AMBIGUOUS, "Two solutions fit"),
-    "one face": (changed(index=np.zeros(24, dtype=np.intp)), Cause.UNDETERMINED, "not seen"),
-    "swapped": (changed(index=np.repeat([1, 0, 2], 8)), Cause.WRONG_SURFACE, "from outside the material"),
+    "one face": (changed(index=np.zeros(24, dtype=np.intp)), Cause.ONE_FACE, "on one face of the part"),
+    "swapped": (changed(index=np.repeat([1, 0, 2], 8)), Cause.WRONG_SURFACE, "top and side are exchanged"),
     "millimetres": (changed(base_p=1e3 * changed().base_p), Cause.WRONG_UNITS, "limit 20 m"),
     "not finite": (changed(base_p=np.full((24, 3), np.nan)), Cause.NOT_FINITE, "no finite numbers"),
     "few": (changed(base_p=np.eye(4, 3), index=np.arange(4) % 3, toward_sensor=None), Cause.TOO_FEW, "4 "),
@@ -331,3 +335,96 @@ def test_form_of_a_face_is_a_shared_error_of_its_points() -> None:
     without, with_form = localize(changed()), localize(changed(form_std_m={"top": 1e-4}))
     both = [found.covariance("object")[2, 2] for found in (with_form, without)]
     assert both[0] > 1e-4**2 * 0.5 > both[1]
+
+
+def mixed_problem(mix: str, seed: int = 1, **changes: Any) -> Localization:
+    """Points on some of the features, in the frame of the object."""
+    rng = np.random.default_rng(seed)
+    index = np.repeat(MIXES[mix], 8)
+    object_p = np.concatenate([on(FEATURES[k], 8, rng) for k in MIXES[mix]])
+    toward = signed_distance(FEATURES, index, object_p).gradient
+    problem = changed(base_p=measured(object_p, np.eye(4), rng), index=index, toward_sensor=toward)
+    return replace(problem, **changes)
+
+
+@pytest.mark.parametrize("factor", UNIT_FACTORS)
+@pytest.mark.parametrize("directions", [True, False])
+def test_points_in_another_unit_are_called_that(factor: float, directions: bool) -> None:
+    problem = mixed_problem("plane, bore, ball")
+    toward = problem.toward_sensor if directions else None
+    found = localize(replace(problem, base_p=factor * problem.base_p, toward_sensor=toward))
+    assert [finding.cause for finding in found.findings] == [Cause.WRONG_UNITS]
+    if factor != 1e3:  # that is seen at sight
+        assert f"divided by {factor:.4g}: {UNIT_FACTORS[factor]}" in found.notes[0]
+
+
+@pytest.mark.parametrize("factor", UNIT_FACTORS)
+@pytest.mark.parametrize("shape", [MESH, SKIN], ids=["mesh", "skin"])
+def test_points_of_a_free_form_in_another_unit_are_called_that_after_few_searches(
+    shape: Shape, factor: float
+) -> None:
+    rng = np.random.default_rng(1)
+    base_p = factor * measured(seen_part(shape, rng, count=600), np.eye(4), rng)
+    problem = Localization(base_p=base_p, covariance=COVARIANCE, surface=shape)
+    assert len(problem.explanations()) <= 2 and not problem.fits_in()
+    assert [finding.cause for finding in localize(problem).findings] == [Cause.WRONG_UNITS]
+
+
+def test_points_seen_from_inside_are_not_explained_by_other_names() -> None:
+    problem = mixed_problem("plane, bore, ball")
+    found = localize(replace(problem, toward_sensor=-np.asarray(problem.toward_sensor)))
+    assert [finding.cause for finding in found.findings] == [Cause.WRONG_SURFACE]
+    assert "seen from outside the material" in found.notes[0]
+
+
+@pytest.mark.parametrize("mix", ["planes", "plane, bore, ball"])
+@pytest.mark.parametrize("factor", [10.0, 25.4])
+def test_noise_that_was_declared_too_small_is_no_other_unit(mix: str, factor: float) -> None:
+    """A corner of three planes fits in any size: divided by the factor, its residuals are as declared."""
+    problem = mixed_problem(mix, covariance=COVARIANCE / factor**2)
+    found = localize(problem)
+    assert found.status is Status.REFUSED
+    assert not {Cause.WRONG_UNITS, Cause.WRONG_SURFACE} & {finding.cause for finding in found.findings}
+
+
+def test_clustered_outliers_are_explained_by_no_other_unit_and_no_other_name() -> None:
+    problem = mixed_problem("plane, bore, ball")
+    base_p = problem.base_p.copy()
+    base_p[::4] += 5e-3 * np.asarray(problem.toward_sensor)[::4]
+    found = localize(replace(problem, base_p=base_p))
+    assert [finding.cause for finding in found.findings] == [Cause.CLUSTERED_OUTLIERS]
+
+
+def test_sound_points_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(task, "explained", lambda *_: pytest.fail("sound data were looked at again"))
+    assert localize(mixed_problem("plane, bore, ball")).status is Status.OK
+    base_p = measured(seen_part(MESH, np.random.default_rng(1)), np.eye(4), np.random.default_rng(2))
+    assert localize(Localization(base_p=base_p, covariance=COVARIANCE, surface=MESH)).status is Status.OK
+
+
+UNSEEN = [([0], 3), ([0, 1], 1), ([0, 1, 2], 0), ([3], 2), ([0, 3], 1), ([4], 3), ([0, 4], 1), ([3, 4], 0)]
+
+
+@pytest.mark.parametrize(("used", "count"), [*UNSEEN, ([5], 1), ([6], 1), ([5, 6], 0), ([8], 0)])
+def test_motions_that_features_do_not_see_are_counted(used: list[int], count: int) -> None:
+    assert len(unseen_motions([FEATURES[k] for k in used])) == count
+
+
+def test_a_slender_bar_is_no_line() -> None:
+    rng, index = np.random.default_rng(8), np.arange(30) % 3
+    faces = (
+        plane("top", np.array([0.0, 0.0, 2e-3]), np.array([0.0, 0.0, 1.0])),
+        plane("side", np.array([0.0, 1.5e-3, 0.0]), np.array([0.0, 1.0, 0.0])),
+        plane("end", np.array([0.5, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])),
+    )
+    axes = np.array([face.axis for face in faces])[index]
+    object_p = rng.uniform([-0.5, -1.5e-3, -2e-3], [0.5, 1.5e-3, 2e-3], (30, 3))
+    object_p = np.where(axes > 0.0, np.array([0.5, 1.5e-3, 2e-3]), object_p)
+    problem = Localization(
+        base_p=measured(object_p, np.eye(4), rng),
+        covariance=COVARIANCE,
+        surface=faces,
+        index=index,
+        toward_sensor=axes,
+    )
+    assert localize(problem).status is Status.OK
