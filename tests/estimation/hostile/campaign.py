@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from estimation.localization.task import Localization, localize
 from estimation.tasks.findings import Cause, Status
 from estimation.tasks.solve import Result, solve
-from tests.estimation.hostile.kinds import ALL, KINDS, Kind
+from tests.estimation.hostile.kinds import ALL, KINDS, LOCALIZATION, OF_PLACES, Kind
+from tests.estimation.hostile.places import located
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def sound(draws: int, first: int = 0, names: Sequence[str] = tuple(ALL)) -> list
 
 
 def _hostile(kind: Kind, task: str, seed: int) -> Draw:
-    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    rng = np.random.default_rng([seed, (KINDS + OF_PLACES).index(kind)])
     problem = kind.draw(task, rng)
     result, seconds, wrong = _solved(problem)
     causes = tuple(finding.cause for finding in result.findings)
@@ -53,7 +55,7 @@ def _hostile(kind: Kind, task: str, seed: int) -> Draw:
 
 
 def _sound(task: str, seed: int) -> Draw:
-    cell = ALL[task](np.random.default_rng(seed))
+    cell = (located if task == LOCALIZATION else ALL[task])(np.random.default_rng(seed))
     result, seconds, wrong = _solved(cell.problem)
     causes = tuple(finding.cause for finding in result.findings)
     if not wrong and result.status is Status.REFUSED:
@@ -66,7 +68,7 @@ def _solved(problem: Any) -> tuple[Result, float, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         start = perf_counter()
-        result = solve(problem)
+        result = localize(problem) if isinstance(problem, Localization) else solve(problem)
         seconds = perf_counter() - start
     if result.estimate is None:
         return result, seconds, ""
@@ -104,21 +106,23 @@ def table(rows: Iterable[tuple[str, Sequence[Draw]]]) -> list[str]:
 def main() -> None:
     """Run what is named on the command line, all kinds by default."""
     parser = argparse.ArgumentParser()
-    names = [kind.cause.name for kind in KINDS]
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(names)}, or sound")
+    names = [*(kind.cause.name for kind in KINDS), "sound"]
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(names))
+    parser.add_argument("--of", choices=("calibration", LOCALIZATION), default="calibration")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     given = parser.parse_args()
-    if unknown := set(given.kinds) - {*names, "sound"}:
-        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(names)}, sound")
-    for kind in KINDS:
+    if unknown := set(given.kinds) - set(names):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(names)}")
+    kinds, tasks = (OF_PLACES, (LOCALIZATION,)) if given.of == LOCALIZATION else (KINDS, tuple(ALL))
+    for kind in kinds:
         if not given.kinds or kind.cause.name in given.kinds:
             draws = hostile(kind, given.draws, given.first)
             print(table([(kind.cause.value, draws)])[-1], flush=True)
             _complain(draws)
     if "sound" in given.kinds:
-        draws = sound(given.draws, given.first)
-        for task in ALL:
+        draws = sound(given.draws, given.first, tasks)
+        for task in tasks:
             print(table([(task, [draw for draw in draws if draw.task == task])])[-1], flush=True)
         print(Counter(cause.value for draw in draws for cause in draw.causes))
         _complain(draws)

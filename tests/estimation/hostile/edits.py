@@ -10,8 +10,16 @@ from estimation.tasks.pairs import PairTask
 from tests.estimation.tasks.cells import Cell
 from tests.estimation.tasks.layout import FloatArray
 
-_MEASURED = ("reading_m", "profile_m", "points_m", "sensor_T_object", "first_T_second")
-_NAMED = ("pose_index", "marker_index", "face_index", "first", "second")
+_MEASURED = (
+    "reading_m",
+    "profile_m",
+    "points_m",
+    "sensor_T_object",
+    "first_T_second",
+    "base_p",
+    "toward_sensor",
+)
+_NAMED = ("pose_index", "marker_index", "face_index", "first", "second", "index")
 
 
 def array(problem: Any, name: str) -> NDArray[Any]:
@@ -28,8 +36,10 @@ def with_array(problem: Any, name: str, value: Any) -> Any:
     return replace(problem, **{own: value})
 
 
-def _motion(problem: Any) -> str:
-    return "motion.joints_rad" if hasattr(problem.motion, "joints_rad") else "motion.base_T_flange"
+def _motion(problem: Any) -> list[str]:
+    if not hasattr(problem, "motion"):
+        return []
+    return ["motion.joints_rad" if hasattr(problem.motion, "joints_rad") else "motion.base_T_flange"]
 
 
 def _own(problem: Any, names: tuple[str, ...]) -> list[str]:
@@ -38,12 +48,12 @@ def _own(problem: Any, names: tuple[str, ...]) -> list[str]:
 
 def measured_arrays(problem: Any) -> list[str]:
     """Everything with a row for each pose or reading."""
-    return [_motion(problem), *_own(problem, _MEASURED), *_own(problem, _NAMED)]
+    return [*_motion(problem), *_own(problem, _MEASURED), *_own(problem, _NAMED)]
 
 
 def float_arrays(problem: Any) -> list[str]:
     """Of numbers that are measured or certified."""
-    return [_motion(problem), *_own(problem, _MEASURED), *_own(problem, ("markers_m",))]
+    return [*_motion(problem), *_own(problem, _MEASURED), *_own(problem, ("markers_m",))]
 
 
 def pose_arrays(problem: Any) -> list[str]:
@@ -53,13 +63,12 @@ def pose_arrays(problem: Any) -> list[str]:
 
 def lengths(problem: Any) -> list[str]:
     """With lengths in them; together "everything measured"."""
-    return float_arrays(problem)
+    return [name for name in float_arrays(problem) if name != "toward_sensor"]
 
 
 def count(problem: Any) -> int:
     """Number of measurements."""
-    names = _own(problem, _MEASURED)
-    return len(array(problem, names[0] if names else _motion(problem)))
+    return len(array(problem, [*_own(problem, _MEASURED), *_motion(problem)][0]))
 
 
 def indexed(problem: Any) -> bool:
@@ -71,7 +80,7 @@ def taken(problem: Any, rows: NDArray[np.intp]) -> Any:
     """The measurements of these rows; poses that are left without one stay."""
     names = _own(problem, _MEASURED) + _own(problem, _NAMED)
     if not indexed(problem):
-        names.append(_motion(problem))
+        names += _motion(problem)
     for name in names:
         problem = with_array(problem, name, array(problem, name)[rows])
     return problem

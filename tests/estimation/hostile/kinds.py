@@ -19,7 +19,7 @@ from estimation.tasks.laser import (
     ProfileLaserOnPlane,
     ProfileLaserOnSphere,
 )
-from tests.estimation.hostile import edits
+from tests.estimation.hostile import edits, places
 from tests.estimation.tasks.cells import CELLS
 from tests.estimation.tasks.layout import DEG, MM, FloatArray, Setting
 from tests.estimation.tasks.pair_cells import PAIR_CELLS
@@ -291,4 +291,29 @@ KINDS = (
         tuple(name for name in SENSORS if "unknown" not in name and name != "tracker"),
         _numbers(wrong_surface),
     ),
+)
+
+
+def _of_place(cause: Cause, draw: Callable[[Rng], Any]) -> Kind:
+    return Kind(cause, (LOCALIZATION,), lambda task, rng: draw(rng))
+
+
+def _of_sound_place(cause: Cause, how: Callable[[Any, Rng], Any]) -> Kind:
+    return _of_place(cause, lambda rng: how(places.located(rng).problem, rng))
+
+
+LOCALIZATION = "localization"
+# What of the twenty can happen to a localization; after them, so that their draws stay the same.
+OF_PLACES = (
+    _of_place(Cause.ONE_FACE, places.on_one_face),
+    _of_place(Cause.COLLINEAR, places.on_a_line),
+    _of_place(Cause.SYMMETRIC, places.symmetric),
+    _of_sound_place(Cause.TOO_FEW, too_few),
+    _of_sound_place(Cause.DUPLICATED, duplicated),
+    _of_place(Cause.OUTLIER, lambda rng: places.off(rng, one_outlier)),
+    _of_place(Cause.CLUSTERED_OUTLIERS, lambda rng: places.off(rng, clustered)),
+    _of_sound_place(Cause.WRONG_UNITS, wrong_units),
+    _of_sound_place(Cause.NOT_FINITE, not_finite),
+    _of_sound_place(Cause.WRONG_SHAPE, wrong_shape),
+    _of_place(Cause.WRONG_SURFACE, places.exchanged),
 )

@@ -6,10 +6,14 @@ import pytest
 
 from estimation.tasks.findings import Cause, Status
 from tests.estimation.hostile.campaign import hostile, sound, table
-from tests.estimation.hostile.kinds import ALL, KINDS, Kind
+from tests.estimation.hostile.kinds import ALL, KINDS, LOCALIZATION, OF_PLACES, Kind
 
 SLOW = (Cause.SWAPPED_JOINTS, Cause.WRONG_SURFACE, Cause.WRONG_UNITS, Cause.INVERTED)
-by_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.cause.name)
+by_kind = pytest.mark.parametrize(
+    "kind",
+    KINDS + OF_PLACES,
+    ids=lambda kind: kind.cause.name + "-of-localization" * (kind in OF_PLACES),
+)
 
 
 def test_there_are_twenty_kinds() -> None:
@@ -39,3 +43,14 @@ def test_four_thousand_sound_sets() -> None:
     print(Counter(cause.value for draw in refused for cause in draw.causes))
     assert len(refused) <= 40
     assert [draw for draw in draws if draw.wrong and draw.status is not Status.REFUSED] == []
+
+
+def test_sound_localizations_pass() -> None:
+    assert [draw for draw in sound(5, first=1000, names=(LOCALIZATION,)) if draw.wrong] == []
+
+
+@pytest.mark.campaign
+def test_four_hundred_sound_localizations() -> None:
+    draws = sound(400, names=(LOCALIZATION,))
+    print(table([(LOCALIZATION, draws)])[-1])
+    assert [draw for draw in draws if draw.wrong] == []
