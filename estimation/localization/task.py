@@ -214,12 +214,12 @@ class _Searched:
     """A problem with where its points can be: what costs most, and is needed more than once."""
 
     problem: Localization
-    rescaled: bool = False
+    undone: Finding | None = None
 
     @cached_property
     def minima(self) -> tuple[FloatArray, FloatArray]:
         """Distinct poses (k, 4, 4), best first, and their mean square distances (k,)."""
-        return _search(self.problem, self.rescaled)
+        return _search(self.problem, quick=self.undone is not None)
 
     def check(self) -> Sequence[Finding]:
         return self.problem.check()
@@ -235,10 +235,7 @@ class _Searched:
         return [{name: Transform(*frames, pose)} for pose in self.minima[0]]
 
     def explanations(self) -> list[tuple[Finding, "_Searched"]]:
-        return [
-            (finding, _Searched(other, finding.cause is Cause.WRONG_UNITS))
-            for finding, other in self.problem.explanations()
-        ]
+        return [(finding, _Searched(other, finding)) for finding, other in self.problem.explanations()]
 
 
 def _located(searched: _Searched, sight: Sequence[Finding]) -> Result:
@@ -253,8 +250,9 @@ def _located(searched: _Searched, sight: Sequence[Finding]) -> Result:
 
 def _holds(searched: _Searched) -> bool:
     """Whether nearly all points agree; of those in another unit, whether they would in no other as well."""
-    result = _located(searched, ())
-    return agrees(result) and (not searched.rescaled or _tells_scale(searched.problem, result))
+    result, undone = _located(searched, ()), searched.undone
+    rescaled = undone is not None and undone.cause is Cause.WRONG_UNITS
+    return agrees(result) and (not rescaled or _tells_scale(searched.problem, result))
 
 
 def _tells_scale(problem: Localization, result: Result) -> bool:
@@ -292,7 +290,7 @@ def _search(problem: Localization, quick: bool) -> tuple[FloatArray, FloatArray]
     elif shape is not None:
         poses, square = _settled(problem, shape, search_surface(shape, problem.base_p)[0])
     else:
-        poses, square = search_features(features, index, problem.base_p)
+        poses, square = search_features(features, index, problem.base_p, quick=quick)
     if problem.toward_sensor is None:
         return poses, square
     seen = np.zeros(len(poses), dtype=np.bool_)
