@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.belief import Belief, Value
-from estimation.compiling import compiled
+from estimation.compiling import compiled, plain_copy
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.model import Model, Point, Rows, compiled_model
 from estimation.transform import FloatArray, Transform
@@ -50,7 +50,7 @@ class Chart:
         for block in self.belief.blocks:
             change = deviation[self.belief.index(block.name)]
             if isinstance(block.value, Transform):
-                matrix, charts[block.name] = moved(block.value.matrix, change, block.active)
+                matrix, charts[block.name] = moved(plain_copy(block.value.matrix), change, block.active)
                 values[block.name] = Transform(block.value.target, block.value.source, matrix)
             else:
                 values[block.name] = block.value + change

@@ -3,6 +3,10 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
+from estimation.transform import FloatArray
+
 try:
     from numba import njit as _njit
 except ImportError:  # numba is optional
@@ -18,3 +22,8 @@ def compiled(function: _Function) -> _Function:
     has a twin in numpy.
     """
     return cast("_Function", function if _njit is None else _njit(cache=True)(function))
+
+
+def plain_copy(values: FloatArray) -> FloatArray:
+    """A copy in rows that may be written to, as compiled functions expect: others would be compiled anew."""
+    return np.array(values, dtype=np.float64, order="C")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from estimation.belief import POSE_FREEDOMS, UNITS, Belief
-from estimation.compiling import compiled
+from estimation.compiling import compiled, plain_copy
 from estimation.errors import DegenerateGeometry
 from estimation.transform import FloatArray, Transform
 
@@ -133,7 +133,9 @@ def spectrum_of(
     jacobian (m, n) by the state of the belief, variance (m,) m^2; `tolerance` is the smallest over the
     largest singular value that counts as information.
     """
-    scaled, scale, squares = _scaled(jacobian[:, columns], variance, belief.unit_codes[columns])
+    scaled, scale, squares = _scaled(
+        plain_copy(jacobian[:, columns]), plain_copy(variance), belief.unit_codes[columns]
+    )
     if squares[0] > (tolerance**2 + _ROUNDING) * squares[-1]:  # clear without the dearer singular vectors
         return Spectrum(columns, np.sqrt(squares[::-1]), np.zeros((0, len(columns))), scale)
     # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
@@ -153,7 +155,7 @@ def _scaled(
     length = np.sqrt(np.sum(whitened**2, axis=0))
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
-    longest = np.zeros(len(units) + len(UNITS))
+    longest = np.zeros(max(units.max() + 1, len(UNITS)))
     for j in range(len(units)):
         longest[units[j]] = max(longest[units[j]], length[j])
     # Where all angles are next to nothing, rounding is not information.

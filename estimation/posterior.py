@@ -14,7 +14,7 @@ def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     Raises LinAlgError where it is not.
     """
     diagonal = np.diag(normal)
-    if not diagonal.min() > 0.0:
+    if not (diagonal > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
     scale = 1.0 / np.sqrt(diagonal)
     return scale.reshape(-1, 1) * np.linalg.solve(

@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 
 from estimation.belief import Belief
 from estimation.chart import Chart, prior_rows, solved, square_root, undetermined
+from estimation.compiling import plain_copy
 from estimation.errors import EstimationError
 from estimation.fitting import Fit, Robust, gated, reweighted, robust_start, row_variance
 from estimation.model import Model, Point, Rows, evaluate
@@ -246,13 +247,15 @@ def _posterior(
     phase: str,
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
     """Contributions by source after an update, leverage (m,) and standardised residuals (m,)."""
-    size = belief.size
-    before = np.array(list(belief.contributions.values())).reshape(-1, size, size)
-    noise = {source: own for source, own in rows.noise.items() if own.any()}
-    variances = np.array(list(noise.values())).reshape(-1, len(used))
+    size, residual = belief.size, plain_copy(rows.residual_m)
+    if not size:
+        return {}, np.zeros(len(used)), residual / np.sqrt(variance)
+    before = np.array(list(belief.contributions.values())).reshape(len(belief.contributions), size, size)
+    noise = {source: own for source, own in rows.noise.items() if own[used].any()}
+    variances = np.array(list(noise.values())).reshape(len(noise), len(used))
     try:
         left, added, leverage, standardised = after(
-            root, prior, to_body, dense, variance, used, before, variances, rows.residual_m
+            root, prior, to_body, dense, variance, used, before, variances, residual
         )
     except np.linalg.LinAlgError as error:
         raise undetermined() from error

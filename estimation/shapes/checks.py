@@ -124,10 +124,10 @@ def refuse_undetermined(shape: Shape, information: FloatArray, sigma_m: float | 
             limits[place] = _LARGEST_SHARE * abs(value)
     if (over := np.flatnonzero(deviations > limits)).size:
         raise _undetermined(shape, [names[i] for i in over])
-    refuse_simpler(shape, max(3.0 * deviations[-1], 1e-7), 1e4 * size_m)
+    _refuse_simpler(shape, max(3.0 * deviations[-1], 1e-7), 1e4 * size_m)
 
 
-def refuse_simpler(shape: Shape, margin_rad: float, largest_m: float) -> None:
+def _refuse_simpler(shape: Shape, margin_rad: float, largest_m: float) -> None:
     """Raises FitRefused for a cone within `margin_rad` of cylinder or plane, or radii above `largest_m`."""
     names = shape.FREEDOMS[len(shape.FREEDOMS) - len(shape.sizes) :]
     if any(

@@ -32,6 +32,7 @@ KINDS: Final[dict[str, type[Shape]]] = {each.KIND: each for each in (Plane, Sphe
 SAMPLE: Final = 2000  # points that find the minimum; all of them then refine it
 _FINE: Final = 1e-11  # step that may be left with more points, in sizes and radians
 _WORTH: Final = 10.0  # times the variance: what a freedom must take off the squares to be needed
+_UNLIKELY: Final = 1e-3  # probability of so large residuals, below which a surface does not fit
 _HUBER: Final = 1.345  # standard deviations: 95 % as efficient as least squares on honest data
 _ROBUST_ROUNDS: Final = 50
 _FALSE_ALARMS: Final = 0.01  # of the outlier gate, over all points together
@@ -92,7 +93,7 @@ def _global_minimum(
         )
     best = _refined(found[0].shape, checked, weights)
     if not best.converged:
-        raise _unsettled(best, points[places], weights[places] if len(weights) else NO_WEIGHTS)
+        raise _unsettled(best, points[places], sigma[places] if sigma is not None and sigma.ndim else sigma)
     if len(found) == 1:
         return best, np.inf
     if len(places) == count and (len(weights) or sigma is not None):
@@ -107,19 +108,26 @@ def _global_minimum(
     return best, float(found[1].cost / max(found[0].cost, floor))
 
 
-def _unsettled(best: Optimum, points_m: FloatArray, weights: FloatArray) -> FitRefused:
+def _unsettled(best: Optimum, points_m: FloatArray, sigma: FloatArray | None) -> FitRefused:
     """The refusal of a fit that does not settle: where a simpler surface does as well, and elsewhere."""
     shape = best.shape
-    square = (shape.distance(points_m) * (weights if len(weights) else 1.0)) ** 2
+    weights = 1.0 / sigma if sigma is not None and sigma.ndim else np.ones(len(points_m))
+    square = float(np.sum((shape.distance(points_m) * weights) ** 2))
     for simpler in KINDS.values():
         spare = len(shape.FREEDOMS) - len(simpler.FREEDOMS)
         worth = 1.0 + _WORTH * spare / max(len(points_m) - len(shape.FREEDOMS), 1)
-        found = minima(simpler, points_m, weights) if spare > 0 else []
-        if found and found[0].cost <= worth * float(square.sum()):
+        if spare <= 0:
+            break
+        try:
+            fit = fit_without_second_thoughts(simpler.KIND, points_m, sigma)
+        except FitRefused:
+            continue
+        if fit.cost <= worth * square and not (fit.p_value is not None and fit.p_value < _UNLIKELY):
             return FitRefused(
                 Cause.SIMPLER_SURFACE,
-                f"The fit of a {shape.KIND} does not settle, and a {simpler.KIND} fits the points as well",
-                f"Fit a {simpler.KIND}",
+                f"The fit of a {shape.KIND} does not settle, and a {simpler.KIND} fits no worse than what it "
+                "reached",
+                f"Fit a {simpler.KIND}, or measure a larger piece of the {shape.KIND}",
             )
     return FitRefused(
         Cause.NO_CONVERGENCE,

@@ -105,6 +105,8 @@ def _step(scaled: FloatArray, slope: FloatArray, damping: float) -> tuple[FloatA
     try:
         return _damped(scaled, slope, damping)
     except np.linalg.LinAlgError:  # a direction without any slope: it takes no step
+        if not (np.isfinite(scaled).all() and np.isfinite(slope).all()):
+            return np.full(len(slope), np.nan), np.nan
         step = np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0]
         return np.asarray(step), float(-step @ (2.0 * slope + scaled @ step))
 

@@ -93,7 +93,7 @@ def clearance(
             side[k] = -1
             for j in range(3):
                 if across[f, k] >= 0 and across[across[f, k], j] == f:
-                    side[k] = j
+                    side[k] = j if side[k] == -1 else -2  # of one listed twice: nothing is proven there
             clear[f, k + 1] = 0.5 * height if side[k] >= 0 else 0.0
         clear[f, 0] = 0.5 * height
         for i in range(low[0], high[0] + 1):

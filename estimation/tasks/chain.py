@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimation.belief import Belief, Value
+from estimation.compiling import plain_copy
 from estimation.covariance import adjoint
 from estimation.model import Rows, pose_of, vector_of
 from estimation.surfaces import Feature, cross, feature_table, signed_distance
@@ -162,21 +163,25 @@ class SensorChain:
             or belief.names != (self.sensor, self.object)
             or not (table := feature_table(self.target.features)).plane
             or table.blocks
+            or not belief.size
         ):
             return None
         place, index = self.readings.pose_index, self.target.index
+        if not len(place) == len(index) == len(self.readings.points_m) == len(self.readings.covariance):
+            return None  # the general way says what is wrong
         flange = self.motion.at({})
         normals = table.axis[index]
+        # Copies, all laid out alike: each other layout, and what may only be read, would be compiled anew.
         return PlaneChain(
             root,
-            (belief.transform(self.sensor), belief.block(self.sensor).active),
-            (belief.transform(self.object), belief.block(self.object).active),
-            np.ascontiguousarray(flange.pose[place]),
-            np.ascontiguousarray(self.readings.points_m),
-            normals,
+            (plain_copy(belief.transform(self.sensor).matrix), belief.block(self.sensor).active),
+            (plain_copy(belief.transform(self.object).matrix), belief.block(self.object).active),
+            plain_copy(flange.pose[place]),
+            plain_copy(self.readings.points_m),
+            plain_copy(normals),
             np.einsum("mi,mi->m", normals, table.point_m[index]),
-            np.ascontiguousarray(flange.covariance[place]),
-            np.ascontiguousarray(self.readings.covariance),
+            plain_copy(flange.covariance[place]),
+            plain_copy(self.readings.covariance),
             (self.sensor, self.object),
             (self.motion.noise, SENSOR_NOISE),
         )

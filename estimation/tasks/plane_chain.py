@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimation.chart import not_finite, undetermined
 from estimation.model import Descent, DescentLimits, Ended, Passes, Point, Rows
-from estimation.transform import FloatArray, Transform
+from estimation.transform import FloatArray
 
 try:
     from estimation.tasks import plane_kernels as kernels
@@ -25,16 +25,17 @@ class PlaneChain:
 
     Attributes
     ----------
-    poses : (m, 4, 4) base_T_flange of each reading.
-    mount, holder : where they start, with the places of their active freedoms in a perturbation (6,).
+    root : (n, n) of the chart.
+    mount, holder : (4, 4) where they start, with the places of their active freedoms in a perturbation (6,).
+    poses, sensor_p : (m, 4, 4) base_T_flange of each reading, and (m, 3) its point in the sensor.
     pose_covariance, reading_covariance : (m, 6, 6), (m, 3, 3).
     normals, offsets : (m, 3), (m,) of the plane that each reading lies on, in the object.
     blocks, noise : names of the two poses, and labels of the two noises.
     """
 
     root: FloatArray
-    mount: tuple[Transform, NDArray[np.intp]]
-    holder: tuple[Transform, NDArray[np.intp]]
+    mount: tuple[FloatArray, NDArray[np.intp]]
+    holder: tuple[FloatArray, NDArray[np.intp]]
     poses: FloatArray
     sensor_p: FloatArray
     normals: FloatArray
@@ -81,10 +82,8 @@ class PlaneChain:
         """As the kernels take it."""
         return (
             self.root,
-            self.mount[0].matrix,
-            self.mount[1],
-            self.holder[0].matrix,
-            self.holder[1],
+            *self.mount,
+            *self.holder,
             self.poses,
             self.sensor_p,
             self.normals,

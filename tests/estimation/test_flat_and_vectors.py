@@ -10,6 +10,7 @@ from estimation.belief import Belief, Value
 from estimation.chart import prior_rows, square_root
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.model import Rows, pose_of, vector_of
+from estimation.observability import spectrum_of
 from estimation.solver import predict, predicted_belief, update
 from estimation.transform import FloatArray, Transform, skew
 
@@ -185,3 +186,35 @@ def test_a_flat_block_may_come_after_blocks_with_a_prior() -> None:
     assert weight.tolist() == [1, 1, 1, 0]
     assert root @ np.diag(weight) @ root.T == pytest.approx(np.diag([1.0, 4.0, 9.0, 0.0]))
     assert root[:3, 3] == pytest.approx(np.zeros(3)) and root[3] == pytest.approx([0, 0, 0, 1])
+
+
+@dataclass(frozen=True)
+class Known:
+    """Residuals of what holds no unknown."""
+
+    residual_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.residual_m)
+
+    def weighed_at(self, values: Mapping[str, Value]) -> "Known":
+        return self
+
+    def rows(self, values: Mapping[str, Value]) -> Rows:
+        return Rows(self.residual_m, {}, {"noise": np.full(len(self.residual_m), SIGMA_M**2)})
+
+
+def test_without_unknowns_there_is_still_a_chi_square() -> None:
+    residual = SIGMA_M * np.array([1.0, -2.0, 0.5])
+    result = update(Belief(), Known(residual))
+    assert (result.chi2, result.dof) == (pytest.approx(5.25), 3)
+    assert result.standardised == pytest.approx([1.0, -2.0, 0.5])
+    assert result.leverage == pytest.approx(0.0)
+    assert (dict(result.belief.contributions), result.rank) == ({}, None)
+
+
+def test_any_unit_has_a_scale_of_its_own() -> None:
+    belief = Belief().with_block("force", [0.0], std=np.inf, units=["N"])
+    belief = belief.with_block("heat", [0.0], std=np.inf, units=["K"])
+    columns = belief.columns(["heat"])
+    assert spectrum_of(belief, np.eye(2), np.ones(2), columns).rank == 1

@@ -87,6 +87,24 @@ def test_what_is_proven_without_a_look_around_is_what_a_look_around_finds(rough_
         assert quick == pytest.approx(full, abs=1e-15)
 
 
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_triangle_that_is_listed_twice_proves_nothing(flipped: bool) -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        x, y = np.meshgrid(np.arange(6) * 3e-3, np.arange(6) * 3e-3, indexing="ij")
+        vertices = np.column_stack([x.ravel(), y.ravel(), 1e-3 * rng.normal(size=36)])
+        place = np.arange(36).reshape(6, 6)
+        a, b, c, d = (
+            part.ravel() for part in (place[:-1, :-1], place[1:, :-1], place[1:, 1:], place[:-1, 1:])
+        )
+        triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+        twice = triangles[:1, ::-1] if flipped else triangles[:1]
+        mesh = TriangleMesh(vertices, np.concatenate([triangles, twice]))
+        points = points_on(mesh, 100, rng) + 3e-4 * rng.normal(size=(100, 3))
+        apart = np.linalg.norm(points - mesh.nearest(points).foot_m, axis=1)
+        assert apart == pytest.approx(by_brute_force(mesh, points), abs=1e-12)
+
+
 @needs_numba
 def test_without_numba_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(2)

@@ -157,6 +157,17 @@ def test_a_cone_where_there_is_none_is_called_that(true: str) -> None:
         assert "simpler" in refusal.value.remedy or f"Fit a {true}" in refusal.value.remedy
 
 
+def test_a_surface_that_fits_badly_is_never_advised() -> None:
+    """A torus that does not settle, and a cylinder 64 stated standard deviations off."""
+    points = cloud("torus", 20, count=100, arc_deg=40, sigma_m=1e-5).points_m
+    with pytest.raises(FitRefused) as refusal:
+        fit_surface("torus", points, sigma_m=1e-5)
+    assert "cylinder" not in str(refusal.value)
+    with pytest.raises(FitRefused) as refusal:
+        fit_surface("sphere", cloud("torus", 13, count=12, sigma_m=5e-4).points_m)
+    assert "plane" not in str(refusal.value)
+
+
 def test_a_flat_piece_does_not_determine_a_sphere() -> None:
     points = cloud("plane", seed=1, count=200).points_m
     with pytest.raises(FitRefused) as refusal:

@@ -98,6 +98,13 @@ def test_the_general_way_is_taken_where_more_is_unknown() -> None:
     assert Chart(sphere.belief(), sphere.model()).compiled is None
 
 
+def test_arrays_of_different_lengths_are_left_to_the_general_way() -> None:
+    problem = cells.point_laser_planes(np.random.default_rng(2)).problem
+    short = replace(problem, motion=Poses(problem.motion.base_T_flange[:7]), reading_m=problem.reading_m[:7])
+    with pytest.raises(ValueError, match="broadcast"):
+        update(short.belief(), short.model())
+
+
 def test_what_is_open_is_refused_in_the_same_words(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, _ = PROBLEMS["a plane"]
     still = replace(problem, motion=Poses(np.repeat(problem.motion.base_T_flange[:1], 30, axis=0)))
