@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimation.belief import Belief, Value
 from estimation.errors import EstimationError
+from estimation.posterior import After
 from estimation.surfaces import cross
 from estimation.transform import FloatArray, Transform
 
@@ -113,6 +114,10 @@ class Descent(NamedTuple):
 
 class CompiledModel(Protocol):
     """A model and a chart of its state in one piece: the same numbers without a call for each step."""
+
+    @property
+    def after(self) -> After:
+        """As `posterior.after`."""
 
     def at(self, z: FloatArray) -> Point:
         """Rows at z (n,)."""

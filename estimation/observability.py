@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from estimation.belief import POSE_FREEDOMS, UNITS, Belief
-from estimation.compiling import compiled, plain_copy
 from estimation.errors import DegenerateGeometry
 from estimation.transform import FloatArray, Transform
 
@@ -133,11 +132,13 @@ def spectrum_of(
     jacobian (m, n) by the state of the belief, variance (m,) m^2; `tolerance` is the smallest over the
     largest singular value that counts as information.
     """
-    scaled, scale, squares = _scaled(
-        plain_copy(jacobian[:, columns]), plain_copy(variance), belief.unit_codes[columns]
-    )
+    whitened = jacobian[:, columns] / np.sqrt(np.maximum(variance, _SMALLEST))[:, None]
+    gram = whitened.T @ whitened
+    scale = _scale(np.sqrt(np.diag(gram)), belief.unit_codes[columns])
+    squares = np.linalg.eigvalsh(gram / (scale * scale[:, None]))
     if squares[0] > (tolerance**2 + _ROUNDING) * squares[-1]:  # clear without the dearer singular vectors
         return Spectrum(columns, np.sqrt(squares[::-1]), np.zeros((0, len(columns))), scale)
+    scaled = whitened / scale
     # Zero rows make the factorisation square: with fewer rows than unknowns the rest is null as well.
     if len(scaled) < len(columns):
         scaled = np.vstack([scaled, np.zeros((len(columns) - len(scaled), len(columns)))])
@@ -146,27 +147,21 @@ def spectrum_of(
     return Spectrum(columns, singular, right[rank:], scale)
 
 
-@compiled
-def _scaled(
-    jacobian: FloatArray, variance: FloatArray, units: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened columns (m, q) over their scale, the scale (q,), and the squared singular values, rising."""
-    whitened = jacobian / np.sqrt(np.maximum(variance, _SMALLEST)).reshape(-1, 1)
-    length = np.sqrt(np.sum(whitened**2, axis=0))
+def _scale(length: FloatArray, units: NDArray[np.intp]) -> FloatArray:
+    """(q,) by which columns of these lengths and units are divided."""
     # One scale for all freedoms of a unit: with a length of its own, a freedom that is seen only through
     # settling errors would look as well determined as the others.
-    longest = np.zeros(max(units.max() + 1, len(UNITS)))
-    for j in range(len(units)):
-        longest[units[j]] = max(longest[units[j]], length[j])
+    longest = np.zeros(max(int(units.max()) + 1, len(UNITS)))
+    np.maximum.at(longest, units, length)
     # Where all angles are next to nothing, rounding is not information.
     if longest[_RADIAN] < _SHORTEST_LEVER_M * longest[_METRE]:
         longest[_RADIAN] = longest[_METRE]
-    scale = longest[units]
+    scale = np.asarray(longest[units])
     # But joints yield as differently as their loads are: of these each has its own, if it has a load at all.
-    scale = np.where((units == _YIELD) & (length > _LOADED * scale), length, scale)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = whitened / scale
-    return scaled, scale, np.linalg.eigvalsh(scaled.T @ scaled).astype(np.float64)
+    if longest[_YIELD]:
+        scale = np.where((units == _YIELD) & (length > _LOADED * scale), length, scale)
+    scale[scale == 0.0] = 1.0
+    return scale
 
 
 def _held(

@@ -1,28 +1,18 @@
-"""What a batch of rows leaves of a prior: gain, contributions by source, leverage, standardised residuals."""
+"""What a batch of rows leaves of a prior: gain, contributions by source, leverage, standardised residuals.
+
+Written so that a kernel may compile it (`tasks/plane_kernels.py`); elsewhere it runs as it stands.
+"""
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.compiling import compiled
 from estimation.transform import FloatArray
 
-
-@compiled
-def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """normal^-1 right (n, k) for a positive definite matrix, whatever the units of its unknowns.
-
-    Raises LinAlgError where it is not.
-    """
-    diagonal = np.diag(normal)
-    if not (diagonal > 0.0).all():
-        raise np.linalg.LinAlgError("an element of the diagonal is not positive")
-    scale = 1.0 / np.sqrt(diagonal)
-    return scale.reshape(-1, 1) * np.linalg.solve(
-        normal * np.outer(scale, scale), scale.reshape(-1, 1) * right
-    )
+After = Callable[..., tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
 
 
-@compiled
 def after(
     root: FloatArray,
     prior: FloatArray,
@@ -53,7 +43,13 @@ def after(
     sigma = np.sqrt(variance[used])
     reach = to_body @ root
     whitened = (kept @ reach) / sigma.reshape(-1, 1)
-    across = solved(whitened.T @ whitened + np.diag(prior), np.ascontiguousarray(whitened.T))
+    normal = whitened.T @ whitened + np.diag(prior)
+    diagonal = np.diag(normal)
+    if not (diagonal > 0.0).all():
+        raise np.linalg.LinAlgError("an element of the diagonal is not positive")
+    scale = 1.0 / np.sqrt(diagonal)  # whatever the units of the unknowns
+    inverse = np.linalg.inv(normal * scale * scale.reshape(-1, 1))
+    across = scale.reshape(-1, 1) * (inverse @ (scale.reshape(-1, 1) * whitened.T))
     gain = (reach @ across) / sigma
     left = np.empty(contributions.shape)
     covariance = np.zeros((size, size))

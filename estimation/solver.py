@@ -9,12 +9,11 @@ from scipy.special import chdtrc
 
 from estimation.belief import Belief
 from estimation.chart import Chart, prior_rows, solved, square_root, undetermined
-from estimation.compiling import plain_copy
 from estimation.errors import EstimationError
 from estimation.fitting import Fit, Robust, gated, reweighted, robust_start, row_variance
 from estimation.model import Model, Point, Rows, evaluate
 from estimation.observability import RANK_TOLERANCE, RankReport, rank_report, require_determined, spectrum_of
-from estimation.posterior import after
+from estimation.posterior import After, after
 from estimation.statistics import ChiSquareTest, chi_square_two_sided
 from estimation.transform import FloatArray
 
@@ -213,7 +212,16 @@ def _result(chart: Chart, fit: Fit, targets: Sequence[str], phase: str, rank_tol
     if spectrum is not None and len(spectrum.null):  # is it the flat freedoms that are open?
         require_determined(belief, kept, kept_variance, rank_tolerance)
     contributions, leverage, standardised = _posterior(
-        belief, chart.root, chart.prior_rows, to_body, rows, dense, variance, used, phase
+        belief,
+        chart.root,
+        chart.prior_rows,
+        to_body,
+        rows,
+        dense,
+        variance,
+        used,
+        phase,
+        after if chart.compiled is None else chart.compiled.after,
     )
     posterior = belief.replaced(values, contributions)
     final = _joint_chi2(chart, fit, to_body, kept, kept_variance)
@@ -245,16 +253,17 @@ def _posterior(
     variance: FloatArray,
     used: NDArray[np.bool_],
     phase: str,
+    run: After = after,
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
     """Contributions by source after an update, leverage (m,) and standardised residuals (m,)."""
-    size, residual = belief.size, plain_copy(rows.residual_m)
+    size, residual = belief.size, rows.residual_m
     if not size:
         return {}, np.zeros(len(used)), residual / np.sqrt(variance)
     before = np.array(list(belief.contributions.values())).reshape(len(belief.contributions), size, size)
     noise = {source: own for source, own in rows.noise.items() if own[used].any()}
     variances = np.array(list(noise.values())).reshape(len(noise), len(used))
     try:
-        left, added, leverage, standardised = after(
+        left, added, leverage, standardised = run(
             root, prior, to_body, dense, variance, used, before, variances, residual
         )
     except np.linalg.LinAlgError as error:

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from estimation.compiling import compiled
 from estimation.shapes.passes import NO_WEIGHTS, products
 from estimation.shapes.shape import Shape
 from estimation.transform import FloatArray
@@ -102,19 +101,13 @@ def minimise(
 
 def _step(scaled: FloatArray, slope: FloatArray, damping: float) -> tuple[FloatArray, float]:
     """Solution of (scaled + damping I) step = -slope, and by how much it promises to lower the cost."""
+    damped = scaled.copy()
+    damped.flat[:: len(slope) + 1] += damping
     try:
-        return _damped(scaled, slope, damping)
+        step = np.asarray(np.linalg.solve(damped, -slope), dtype=np.float64)
     except np.linalg.LinAlgError:  # a direction without any slope: it takes no step
-        if not (np.isfinite(scaled).all() and np.isfinite(slope).all()):
-            return np.full(len(slope), np.nan), np.nan
-        step = np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0]
-        return np.asarray(step), float(-step @ (2.0 * slope + scaled @ step))
-
-
-@compiled
-def _damped(scaled: FloatArray, slope: FloatArray, damping: float) -> tuple[FloatArray, float]:
-    step = np.linalg.solve(scaled + damping * np.eye(len(slope)), -slope).astype(np.float64)
-    return step, -float(np.dot(step, 2.0 * slope + scaled @ step))
+        step = np.asarray(np.linalg.lstsq(scaled, -slope, rcond=1e-14)[0], dtype=np.float64)
+    return step, float(-step @ (2.0 * slope + scaled @ step))
 
 
 def minima(kind: type[Shape], points_m: FloatArray, weights: FloatArray = NO_WEIGHTS) -> list[Optimum]:

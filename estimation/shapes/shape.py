@@ -9,7 +9,6 @@ from typing import ClassVar, Final, Self
 
 import numpy as np
 
-from estimation.compiling import compiled
 from estimation.surfaces import cross
 from estimation.transform import FloatArray
 
@@ -136,10 +135,9 @@ def _places(freedoms: tuple[str, ...]) -> list[int]:
     return [MOTIONS.index(name) for name in freedoms]
 
 
-@compiled
 def _turned(axes: FloatArray, turn: FloatArray) -> FloatArray:
     """axes Exp(turn), without the rounding that many such products would collect."""
-    x, y, z = turn[0], turn[1], turn[2]
+    x, y, z = turn.tolist()
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle < 1e-3:  # the series is exact to rounding here
@@ -147,6 +145,5 @@ def _turned(axes: FloatArray, turn: FloatArray) -> FloatArray:
     else:
         first, second = math.sin(angle) / angle, 2.0 * (math.sin(angle / 2.0) / angle) ** 2
     generator = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    axes = np.ascontiguousarray(axes)
     product = axes + axes @ (first * generator + second * (generator @ generator))
     return np.asarray(1.5 * product - product @ (0.5 * product.T @ product))

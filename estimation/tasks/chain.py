@@ -14,7 +14,7 @@ from estimation.covariance import adjoint
 from estimation.model import Rows, pose_of, vector_of
 from estimation.surfaces import Feature, cross, feature_table, signed_distance
 from estimation.tasks.motion import Motion
-from estimation.tasks.plane_chain import COMPILED, PlaneChain
+from estimation.tasks.plane_chain import TIER, PlaneChain
 from estimation.transform import FloatArray, skew
 
 SENSOR_NOISE: Final = "sensor noise"
@@ -157,13 +157,14 @@ class SensorChain:
     def compiled(self, belief: Belief, root: FloatArray) -> PlaneChain | None:
         """Rows and descent in one piece, where planes are seen and only mount and object are unknown."""
         if (
-            not COMPILED
+            TIER is None
             or self.beside
             or not isinstance(self.target, Surfaces)
             or belief.names != (self.sensor, self.object)
             or not (table := feature_table(self.target.features)).plane
             or table.blocks
             or not belief.size
+            or not TIER.ready()
         ):
             return None
         place, index = self.readings.pose_index, self.target.index

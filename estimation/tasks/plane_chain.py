@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimation.chart import not_finite, undetermined
+from estimation.compiling import Tier
 from estimation.model import Descent, DescentLimits, Ended, Passes, Point, Rows
+from estimation.posterior import After
 from estimation.transform import FloatArray
 
 try:
@@ -16,7 +18,7 @@ try:
 except ImportError:  # numba is optional: numpy gives the same numbers
     kernels = None  # type: ignore[assignment]
 
-COMPILED: Final = kernels is not None
+TIER: Final = None if kernels is None else Tier(kernels.reweighted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +46,11 @@ class PlaneChain:
     reading_covariance: FloatArray
     blocks: tuple[str, str]
     noise: tuple[str, str]
+
+    @property
+    def after(self) -> After:
+        """As `CompiledModel.after`."""
+        return cast(After, kernels.after)
 
     def at(self, z: FloatArray) -> Point:
         """Rows at z (n,), with their Jacobian (m, n) by z."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimation import chart, observability, posterior
+from estimation import chart, compiling
 from estimation.chart import Chart
 from estimation.errors import DegenerateGeometry, EstimationError
 from estimation.solver import Update, update
@@ -17,7 +17,15 @@ from estimation.tasks.solve import solve
 from estimation.transform import FloatArray, Transform
 from tests.estimation.tasks import cells
 
-pytestmark = pytest.mark.skipif(not chain.COMPILED, reason="numba is not installed")
+pytestmark = pytest.mark.skipif(chain.TIER is None, reason="numba is not installed")
+
+
+@pytest.fixture(autouse=True)
+def compiled() -> None:
+    """Without 2,000 uses before."""
+    assert chain.TIER is not None
+    chain.TIER.compile_now()
+
 
 NOISY = {"std_m": 2e-5, "std_rad": 1e-5}
 
@@ -67,7 +75,7 @@ def test_every_number_is_that_of_the_general_way(
     name: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fast = _update(name, **options)
-    monkeypatch.setattr(chain, "COMPILED", False)
+    monkeypatch.setattr(chain, "TIER", None)
     plain = _update(name, **options)
     deviations = np.sqrt(np.diag(plain.belief.covariance))
     for block in plain.belief.blocks:
@@ -110,7 +118,8 @@ def test_what_is_open_is_refused_in_the_same_words(monkeypatch: pytest.MonkeyPat
     still = replace(problem, motion=Poses(np.repeat(problem.motion.base_T_flange[:1], 30, axis=0)))
     words = []
     for compiled in (True, False):
-        monkeypatch.setattr(chain, "COMPILED", compiled)
+        if not compiled:
+            monkeypatch.setattr(chain, "TIER", None)
         with pytest.raises(DegenerateGeometry) as refusal:
             update(still.belief(), still.model())
         words.append(str(refusal.value))
@@ -132,33 +141,25 @@ def test_a_whole_task_comes_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None
     reading[5] += 2e-3
     outlier = replace(problem, reading_m=reading)
     fast = solve(outlier)
-    monkeypatch.setattr(chain, "COMPILED", False)
+    monkeypatch.setattr(chain, "TIER", None)
     plain = solve(outlier)
     assert fast.notes == plain.notes
     assert np.flatnonzero(fast.rejected).tolist() == [5]
     assert_allclose(fast.covariance("laser"), plain.covariance("laser"), rtol=1e-6)
 
 
-def test_compiled_algebra_runs_without_a_compiler_as_well() -> None:
-    rng = np.random.default_rng(6)
-    rows, variance, used = rng.normal(size=(9, 4)), rng.uniform(1.0, 2.0, 9), np.arange(9) != 3
-    given = (
-        np.eye(4), np.array([0.0, 0.0, 1.0, 1.0]), np.eye(4), rows, variance, used,
-        np.array([np.diag([0.0, 0.0, 1.0, 1.0])]), np.array([0.25 * variance, 0.75 * variance]),
-        rng.normal(size=9),
-    )  # fmt: skip
-    for fast, plain in zip(posterior.after(*given), posterior.after.py_func(*given), strict=True):
-        assert_allclose(fast, plain, atol=1e-13)
-    units = np.array([0, 0, 1, 1])
-    for fast, plain in zip(
-        observability._scaled(rows, variance, units),
-        observability._scaled.py_func(rows, variance, units),
-        strict=True,
-    ):
-        assert_allclose(fast, plain, atol=1e-13)
+def test_the_chart_moves_poses_the_same_without_a_compiler() -> None:
     pose, active = np.eye(4), np.array([0, 1, 2, 3, 5])
     for change in (np.zeros(5), np.array([0.1, 0.2, 0.3, 0.7, -0.4]), np.full(5, 1e-5)):
         for fast, plain in zip(
             chart.moved(pose, change, active), chart.moved.py_func(pose, change, active), strict=True
         ):
             assert_allclose(fast, plain, atol=1e-15)
+
+
+def test_a_kernel_is_compiled_when_it_pays() -> None:
+    class Kernel:
+        _cache = None  # nothing on disk
+
+    tier = compiling.Tier(Kernel())
+    assert [tier.ready() for _ in range(2_001)] == [False] * 2_000 + [True]
