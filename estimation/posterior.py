@@ -48,8 +48,9 @@ def after(
     if not (diagonal > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
     scale = 1.0 / np.sqrt(diagonal)  # whatever the units of the unknowns
-    inverse = np.linalg.inv(normal * scale * scale.reshape(-1, 1))
-    across = scale.reshape(-1, 1) * (inverse @ (scale.reshape(-1, 1) * whitened.T))
+    scaled = np.ascontiguousarray(scale.reshape(-1, 1) * whitened.T)
+    # Not by an inverse: of rows that are far more precise than the prior it leaves nothing right.
+    across = scale.reshape(-1, 1) * np.linalg.solve(normal * scale * scale.reshape(-1, 1), scaled)
     gain = (reach @ across) / sigma
     left = np.empty(contributions.shape)
     covariance = np.zeros((size, size))
