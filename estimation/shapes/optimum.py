@@ -20,6 +20,7 @@ _COARSE_ITERATIONS: Final = 30  # a start that takes longer is a bad one
 _LARGEST_DAMPING: Final = 1e12
 _TRIED_STARTS: Final = 12
 _TRIAL_ITERATIONS: Final = 6
+_TRIAL_POINTS: Final = 500  # that rank the starts
 _POLISHED_STARTS: Final = 4
 _HOPELESS: Final = 1e4  # times the cost of a minimum, after the trial: a hundred times as far from the points
 _FEW_POINTS: Final = 60  # for which any start may be the only good one
@@ -149,6 +150,8 @@ def best_starts(starts: Sequence[Shape], points: FloatArray, weights: FloatArray
     ordered = _by_cost(settled, [float(products(each, points, weights)[-1, -1]) for each in settled])
     if len(points) <= _FEW_POINTS or len(ordered) <= _POLISHED_STARTS:
         return ordered
+    step = max(len(points) // _TRIAL_POINTS, 1)
+    points, weights = np.ascontiguousarray(points[::step]), weights[::step]
     tried = [
         minimise(each, points, weights, 1.0, _COARSE, _TRIAL_ITERATIONS) for each in ordered[:_TRIED_STARTS]
     ]

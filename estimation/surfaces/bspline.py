@@ -10,11 +10,12 @@ from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
 from estimation.errors import EstimationError
-from estimation.surfaces.bspline_cells import DEGREE, Cells
+from estimation.surfaces.bspline_cells import DEGREE, Cells, closest
 from estimation.surfaces.mesh import TriangleMesh
 from estimation.surfaces.shape import Nearest, Sums
 from estimation.transform import FloatArray
 
+_FEW_STARTS: Final = 500  # that are looked at one by one
 _STARTS: Final = 3  # in each direction of a cell: between them a foot is never further than Newton can go
 
 
@@ -150,4 +151,12 @@ class BSplinePatch:
         return cKDTree(self.points(self._grid[0]))
 
     def _begin(self, points: FloatArray, place: FloatArray) -> None:
-        place[:] = self._grid[0][self._tree.query(points)[1]]
+        starts = self._grid[0]
+        few = len(starts) <= _FEW_STARTS
+        nearest = closest(points, self._columns) if few else np.asarray(self._tree.query(points)[1])
+        place[:] = starts[nearest]
+
+    @cached_property
+    def _columns(self) -> FloatArray:
+        """(3, n) the points of the grid."""
+        return np.ascontiguousarray(self.points(self._grid[0]).T)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.spatial import cKDTree
 
 from estimation.surfaces.shape import CHUNK, SUMS, Nearest, Sums, sums_of
 from estimation.transform import FloatArray
@@ -23,6 +24,13 @@ _STEPS: Final = 40
 _CONVERGED: Final = 1e-6  # last step, of the size of the patch: Newton's error is its square
 _FIRST_DAMPING: Final = 1e-3
 _LARGEST_DAMPING: Final = 1e12
+
+
+def closest(points: FloatArray, grid: FloatArray) -> NDArray[np.intp]:
+    """(m,) which of a few points, the columns of `grid` (3, n), is closest to each of the points (m, 3)."""
+    if COMPILED:
+        return np.asarray(kernels.closest(np.ascontiguousarray(points), grid))
+    return np.asarray(cKDTree(grid.T).query(points)[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

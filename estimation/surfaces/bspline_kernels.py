@@ -185,6 +185,23 @@ def _on_edge(value: float, breaks: FloatArray, closed: bool) -> bool:
     return not closed and (value <= breaks[0] or value >= breaks[-1])
 
 
+@numba.njit(cache=True, error_model="numpy")
+def closest(points: FloatArray, grid: FloatArray) -> NDArray[np.int64]:
+    """(m,) which of a few points, the columns of `grid` (3, n), is closest to each point (m, 3)."""
+    found, square = np.empty(len(points), np.int64), np.empty(grid.shape[1])
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for j in range(len(square)):  # apart from the search, so that it runs in wide registers
+            a, b, c = grid[0, j] - x, grid[1, j] - y, grid[2, j] - z
+            square[j] = a * a + b * b + c * c
+        best = 0
+        for j in range(1, len(square)):
+            if square[j] < square[best]:
+                best = j
+        found[i] = best
+    return found
+
+
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def feet(
     points: FloatArray,
